@@ -120,9 +120,9 @@ class Solver:
     integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     """Shape of the friction cones."""
-    impratio: float = 1.0
-    """How much stiffer contacts are against sliding than against sinking; pyramidal cones make the ground soft where
-    friction is high, a large ratio prevents that."""
+    impratio: float = 100.0
+    """How much stiffer contacts are against sliding than against sinking; at 1, MuJoCo's default, a loaded foot creeps.
+    MuJoCo Menagerie's models of legged robots have 100."""
 
     def __post_init__(self) -> None:
         check_range("timestep", self.timestep, 1e-4, 0.02, "s")

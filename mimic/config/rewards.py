@@ -22,10 +22,6 @@ class RewardWeights:
     """Base velocity as asked."""
     heading: float = 4.0
     """Heading as asked."""
-    toes: float = 10.0
-    """Front toes near their goals, felt from 20 cm on."""
-    toes_fine: float = 5.0
-    """The same within 3 cm."""
     gait: float = 20.0
     """Hind feet that step with the clock, or stand planted while the robot is asked to stand."""
     drift: float = -40.0
@@ -93,7 +89,5 @@ class FinishFactors:
     """Of the weight of that name, as all here."""
     heading: float = 2.5
     """Walking straight."""
-    toes_fine: float = 3.0
-    """Reaching exactly."""
     slip: float = 3.5
     """Sliding little."""

@@ -3,7 +3,7 @@
 A motor gives ``tau = tau_ff + kp (q_des - q) + kd (dq_des - dq)``. It follows a goal without lag where the command is
 the goal that is wanted when it acts, ``ahead`` after it is sent:
 
-    q_des = q(t + ahead)      dq_des = dq(t + ahead)      tau_ff = M ddq + g + friction, by Pinocchio's RNEA
+    q_des = q(t + ahead)      dq_des = dq(t + ahead)      tau_ff = M ddq + g + friction (mimic.robot.arm_torques)
 
 which is ``q_des = q + (kd dq + tau) / kp`` for a motor that takes positions only. The network moves the hind legs.
 
@@ -13,25 +13,16 @@ Source: Murray, Li, Sastry, "A Mathematical Introduction to Robotic Manipulation
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
-import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
 from mimic.geometry import smoothstep
-from mimic.policy.contract import PolicyContract
+from mimic.policy.contract import AHEAD, FRONT, PolicyContract, arm_reference, lead_time
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import leg_joints
 from mimic.robot.reach import Reach
-from mimic.robot.rigid_body import rigid_body_model
-
-FRONT = 6
-"""Joints of the front legs: the first six."""
-
-FRICTION_SPEED = 0.1
-"""Joint speed at which half of the dry friction is asked for [rad/s], as in training (MdpSettings.friction_speed)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -44,12 +35,8 @@ class ArmGoal:
     """Velocities (6,) [rad/s]."""
     ddq: FloatArray
     """Accelerations (6,) [rad/s^2]."""
-
-
-def lead_time(contract: PolicyContract) -> float:
-    """Return the time from sending a command to when the joints should be where it says [s]."""
-    in_effect = contract.dt if contract.interpolate else 0.5 * contract.dt
-    return contract.delay + in_effect
+    seen: FloatArray
+    """What a policy is told of them: `arm_reference` (49,)."""
 
 
 def arm_joints(p_BE: FloatArray, reach: Reach, before: FloatArray) -> tuple[FloatArray, int]:
@@ -90,6 +77,7 @@ class StoredArms:
         self._goals, self.out_of_reach = arm_joints(p_BE, self._reach, upright)
         """Joints at each control step (T, 6) [rad], and how many of them had to be moved into reach."""
         self._blend = blend
+        self._default_q = np.array(contract.default_q[:FRONT])
         self._path: CubicSpline | None = None
 
     def at(self, row: int, q: FloatArray) -> ArmGoal:
@@ -102,15 +90,14 @@ class StoredArms:
         if self._path is None:
             self._path = self._spline(q[:FRONT])
         last = float(self._path.x[-1])
-        t = row * self._dt + self._ahead
-        moves = t < last
-        at = min(t, last)
-        zeros = np.zeros(FRONT)
-        return ArmGoal(
-            q=self._path(at),
-            dq=self._path(at, 1) if moves else zeros,
-            ddq=self._path(at, 2) if moves else zeros,
-        )
+        t = row * self._dt + np.array([self._ahead, *AHEAD])
+        moves = (t < last)[:, None]
+        at = np.minimum(t, last)
+        q = self._path(at)
+        dq = self._path(at, 1) * moves
+        ddq = self._path(at, 2) * moves
+        seen = arm_reference(q[1:], dq[1:], np.ones(()), self._default_q, np)
+        return ArmGoal(q=q[0], dq=dq[0], ddq=ddq[0], seen=seen)
 
     def _spline(self, begin: FloatArray) -> CubicSpline:
         rows = np.concatenate([blended(begin, self._goals[0], self._blend, self._reach), self._goals])
@@ -149,6 +136,7 @@ class LiveArms:
         self._reach = Reach(description)
         self._begin: FloatArray | None = None
         self._before = np.zeros(FRONT)
+        self._default_q = np.array(contract.default_q[:FRONT])
 
     def at(self, row: int, q: FloatArray, p_BE: FloatArray) -> ArmGoal:
         """Return the goal of a control step.
@@ -166,36 +154,6 @@ class LiveArms:
         now = self._begin + share * (wanted - self._begin)
         dq = (now - self._before) / self._dt
         self._before = now
-        return ArmGoal(q=now + self._ahead * dq, dq=dq, ddq=np.zeros(FRONT))
-
-
-class ArmTorques:
-    """Torques that front legs need for a motion, with the base at rest."""
-
-    def __init__(self, description: RobotDescription) -> None:
-        self._model = _model(description)
-        self._data = self._model.createData()
-
-    def of(self, goal: ArmGoal, q: FloatArray, quat_WB: FloatArray) -> FloatArray:
-        """Return torques (6,) [N m]: gravity, inertia, and the friction of the joints.
-
-        Args:
-            goal: Motion of the front legs.
-            q: Measured joints (12,) [rad].
-            quat_WB: Orientation of the base (4,), wxyz.
-        """
-        w, x, y, z = quat_WB
-        position = np.concatenate([np.zeros(3), [x, y, z, w], goal.q, q[FRONT:]])
-        velocity = np.zeros(self._model.nv)
-        velocity[6 : 6 + FRONT] = goal.dq
-        acceleration = np.zeros(self._model.nv)
-        acceleration[6 : 6 + FRONT] = goal.ddq
-        torque = pin.rnea(self._model, self._data, position, velocity, acceleration)[6 : 6 + FRONT]
-        dry = self._model.upperDryFrictionLimit[6 : 6 + FRONT]
-        viscous = self._model.damping[6 : 6 + FRONT]
-        return torque + viscous * goal.dq + dry * goal.dq / (np.abs(goal.dq) + FRICTION_SPEED)
-
-
-@cache
-def _model(description: RobotDescription) -> pin.Model:
-    return rigid_body_model(description)[0]
+        times = (len(AHEAD), 1)
+        seen = arm_reference(np.tile(now, times), np.tile(dq, times), np.zeros(()), self._default_q, np)
+        return ArmGoal(q=now + self._ahead * dq, dq=dq, ddq=np.zeros(FRONT), seen=seen)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.control.arms import FRONT, ArmGoal, ArmTorques
+from mimic.control.arms import ArmGoal
 from mimic.control.dropouts import DropoutFilter
 from mimic.control.limits import clamp_command, clamp_desired
 from mimic.control.plant import Plant
@@ -19,9 +19,10 @@ from mimic.control.signals import Signals
 from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.geometry import turned_about_up
-from mimic.policy.contract import ObservationBuilder, joint_command
+from mimic.policy.contract import FRONT, ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
 from mimic.records import PHASES, Command, JointCommand, JointSamples, RobotState, Tick
+from mimic.robot.arm_torques import ArmTorques
 from mimic.robot.leg_kinematics import front_toes
 
 Sink = Callable[[Tick], None]
@@ -123,6 +124,7 @@ class Run:
             p_BE_des=p_BE_des,
             omega_B=self.sensed.omega_B,
             dq=self.sensed.dq,
+            arms=None if arms is None else arms.seen,
         )
         action = policy.act(observation)
         if not np.isfinite(action).all():
@@ -135,7 +137,7 @@ class Run:
         if arms is not None:
             q_des[:FRONT] = arms.q
             dq_des[:FRONT] = arms.dq
-            tau_ff[:FRONT] = self._arm_torques.of(arms, self.sensed.q, self.sensed.quat_WB)
+            tau_ff[:FRONT] = self._arm_torques.of(arms.q, arms.dq, arms.ddq, self.sensed.quat_WB)
             own = action[FRONT:]
         command = JointCommand(
             q_des=q_des,

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 import mujoco
@@ -26,8 +26,8 @@ from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import BASE, FLOOR, is_visual, read_model
 
-GAIN_KP, GAIN_KD = 4, 6
-"""Where the gains stand in the gain parameters of a dcmotor."""
+RESISTANCE, MOTOR_CONSTANT, GAIN_KP, GAIN_KD = 0, 1, 4, 6
+"""Where resistance, motor constant and gains stand in the gain parameters of a dcmotor."""
 
 
 def load_model(
@@ -98,6 +98,10 @@ class Variation:
     """Added to the start height [m]."""
     heading: float
     """At the start [rad]."""
+    torque: float = 1.0
+    """Factor on the largest torque of all motors."""
+    speed: float = 1.0
+    """Factor on the speeds at which it falls and ends."""
 
 
 _SHAPES = {
@@ -118,6 +122,8 @@ def draw_variation(ranges: Randomisation, timestep: float, rng: np.random.Genera
     """Return one robot drawn from the ranges."""
     values: dict[str, Any] = {}
     for f in fields(Variation):
+        if f.default is not MISSING:
+            continue
         low, high = getattr(ranges, "delay" if f.name == "delay_steps" else f.name)
         if f.name == "delay_steps":
             values[f.name] = int(rng.integers(round(low / timestep), round(high / timestep) + 1))
@@ -170,6 +176,10 @@ def vary_model(model: mujoco.MjModel, nominal: mujoco.MjModel, variation: Variat
     model.geom_solref[floor] = bouncing(nominal.geom_solref[floor, 0], variation.restitution)
     model.actuator_gainprm[:, GAIN_KP] = nominal.actuator_gainprm[:, GAIN_KP] * variation.kp
     model.actuator_gainprm[:, GAIN_KD] = nominal.actuator_gainprm[:, GAIN_KD] * variation.kd
+    usual = nominal.actuator_gainprm
+    model.actuator_gainprm[:, MOTOR_CONSTANT] = usual[:, MOTOR_CONSTANT] / variation.speed
+    model.actuator_gainprm[:, RESISTANCE] = usual[:, RESISTANCE] / (variation.speed * variation.torque)
+    model.actuator_forcerange[:] = nominal.actuator_forcerange * variation.torque
     added = np.zeros(model.nbody)
     base = model.body(BASE).id
     added[base] = variation.base_mass

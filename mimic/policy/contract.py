@@ -18,6 +18,9 @@ from mimic.geometry import heading_sin_cos, world_axes_in_base
 from mimic.records import JOINTS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
 
+FRONT = 6
+"""Joints of the front legs: the first six."""
+
 NETWORK = "network"
 INVERSE_KINEMATICS = "inverse_kinematics"
 """Who moves the front legs."""
@@ -37,13 +40,22 @@ PAPER_TERMS = (
 AVERAGED = ("joint_position", "down", "forward", "velocity_command")
 """Terms that `slow_mean` averages."""
 
-TERMS = (
+REACHING_TERMS = (
     *PAPER_TERMS,
     ("gyro", 3),
     ("joint_velocity", 12),
     ("slow_mean", sum(width for name, width in PAPER_TERMS if name in AVERAGED)),
 )
+"""The same of policies that move the front legs to their goals themselves."""
+
+TERMS = tuple(term for term in REACHING_TERMS if term[0] != "toe_command")
 """The same of the policies that are trained now."""
+
+AHEAD = (0.0, 0.1, 0.2, 0.3)
+"""Times from now at which a policy is told where its arms will be [s]."""
+
+ARM_TERMS = (("arm_reference", 12 * len(AHEAD)), ("arms_known", 1))
+"""What comes once in an observation, after the frames, where inverse kinematics moves the front legs."""
 
 SLOW_SECONDS = 3.0
 """Time constant of `slow_mean` [s]."""
@@ -63,6 +75,10 @@ FORMULAS = {
     "clock": "gait sin(c) and gait cos(c), c = 2 pi clock_hz dt k; gait is 1 where clock_fade is 0",
     "gyro": f"{GYRO_SCALE} x angular velocity of the base, base axes [rad/s], clipped to +-{GYRO_CLIP:g}; bias removed",
     "joint_velocity": f"{DQ_SCALE} dq [rad/s], clipped to +-{DQ_CLIP:g}",
+    "arm_reference": f"where the front legs will be in {', '.join(f'{t:g}' for t in AHEAD)} s: each time their "
+    f"six joints, q - default_q [rad], then {DQ_SCALE} dq [rad/s]; zeros until the blend begins",
+    "arms_known": "1 where that is known; 0 where the motion has no future: later positions are then those of now, "
+    "later velocities 0",
     "slow_mean": f"{', '.join(AVERAGED)}, averaged: s = s + (now - s) dt / {SLOW_SECONDS:g} at each step; before the "
     "first step s = now",
 }
@@ -73,8 +89,9 @@ HOW_TO_PLAY = (
     "gait says whether to step: 0 before the first step; at every step, before the frame is made, it grows by "
     "dt / clock_fade, to 1 at most, if the speed of velocity_command is above walk_speed or |heading_error| above "
     "walk_turn (1 - gait / 2); otherwise it falls by as much, to 0 at least.",
-    "A frame is the terms one after another. The observation is the newest `history` frames, oldest first, 32-bit "
-    "floats; at the first step every frame is the first one. k counts the steps from 0.",
+    "A frame is the terms one after another. The observation is the newest `history` frames, oldest first, then the "
+    "terms of `once` as they are now, 32-bit floats; at the first step every frame is the first one. k counts the steps "
+    "from 0.",
     "action = clip(output, -action_clip, action_clip); q_des = clip(default_q + action_scale action, q_min, q_max).",
     "The heading is atan2(-2 (x y - w z), 1 - 2 (x x + z z)): where the belly faces once the robot stands.",
     "Each motor gives kp (q_des - q) - kd dq, at most torque_max; in the direction of motion the limit falls from "
@@ -94,7 +111,7 @@ TASK_GUIDE = {
         "With arms inverse_kinematics the front legs leave the network when that blend begins: their q_des is "
         "q + (kd dq + tau) / kp of the joints q that bring the toes to their targets, delay + dt ahead, with tau the "
         "torque of gravity, inertia and friction; while they blend, q moves with the same share from the measured "
-        "joints. The network still sees its own action for them.",
+        "joints. The network still sees its own action for them, or with arm_reference zeros.",
     ),
     "sit_down": (
         "It begins in whatever state a tracking policy has left, with a history and a clock of its own. The toe "
@@ -182,6 +199,8 @@ class PolicyContract:
     """Heading error above which it is asked to step [rad]; half as much once it steps."""
     arms: str = NETWORK
     """Who moves the front legs from the blend to the first target on: network or inverse_kinematics."""
+    once: tuple[tuple[str, int], ...] = ()
+    """Name and width of each term that comes once, after the frames."""
     training: str = ""
     """SHA-256 of the settings.json of its training."""
     noise: tuple[tuple[str, float], ...] = ()
@@ -195,7 +214,7 @@ class PolicyContract:
     @property
     def observation_size(self) -> int:
         """Width of the observation."""
-        return self.history * self.frame_size
+        return self.history * self.frame_size + sum(width for _, width in self.once)
 
     def columns(self, *names: str) -> IntArray:
         """Return where terms stand in a frame, in the order of the names; none for a term that it lacks."""
@@ -203,7 +222,7 @@ class PolicyContract:
 
     def to_json(self) -> str:
         """Return the contract as JSON, at full precision, with sentences on how to play the policy."""
-        formulas = {name: FORMULAS[name] for name, _ in self.terms}
+        formulas = {name: FORMULAS[name] for name, _ in (*self.terms, *self.once)}
         guide = {"formulas": formulas, "how_to_play": HOW_TO_PLAY + TASK_GUIDE.get(self.task, ())}
         return json.dumps(asdict(self) | guide, sort_keys=True)
 
@@ -220,6 +239,7 @@ class PolicyContract:
             if missing:
                 raise ValueError(f"it lacks {', '.join(missing)}")
             data["terms"] = tuple((name, int(width)) for name, width in data["terms"])
+            data["once"] = tuple((name, int(width)) for name, width in data.get("once", ()))
             data["noise"] = tuple((name, float(half)) for name, half in data.get("noise", ()))
             values: dict[str, Any] = {
                 k: tuple(cast("list[Any]", v)) if isinstance(v, list) else v for k, v in data.items()
@@ -240,7 +260,8 @@ class PolicyContract:
             )
         pairs = (
             ("joint order", self.joints, JOINTS),
-            ("observation terms", self.terms, TERMS if len(self.terms) > len(PAPER_TERMS) else PAPER_TERMS),
+            ("observation terms", self.terms, self._known_terms()),
+            ("terms after the frames", self.once, ARM_TERMS if self.once else ()),
             ("control step", self.dt, description.dt),
             ("number of action scales", len(self.action_scale), len(JOINTS)),
             ("number of default positions", len(self.default_q), len(JOINTS)),
@@ -255,6 +276,12 @@ class PolicyContract:
         low, high = np.array(self.q_min), np.array(self.q_max)
         if np.any(low < description.q_min - 1e-9) or np.any(high > description.q_max + 1e-9):
             raise ContractError("the policy may command joint positions outside this robot's limits; expected inside")
+
+    def _known_terms(self) -> tuple[tuple[str, int], ...]:
+        """Return the terms of this version that these should be."""
+        if self.terms in (PAPER_TERMS, REACHING_TERMS):
+            return self.terms
+        return TERMS
 
     def _check_numbers(self, description: RobotDescription) -> None:
         """Refuse numbers that no trained policy has, before they reach a motor."""
@@ -286,6 +313,12 @@ def stored_fields(text: str) -> dict[str, Any]:
     data: dict[str, Any] = json.loads(text)
     one_for_all = {name: [data[name]] * len(JOINTS) for name in BY_JOINT if isinstance(data.get(name), int | float)}
     return {name: value for name, value in data.items() if name not in ("formulas", "how_to_play")} | one_for_all
+
+
+def lead_time(contract: PolicyContract) -> float:
+    """Return the time from sending a command to when the joints should be where it says [s]."""
+    in_effect = contract.dt if contract.interpolate else 0.5 * contract.dt
+    return contract.delay + in_effect
 
 
 def commanded_joints(action: Any, default_q: Any, scale: Any, q_min: Any, q_max: Any, xp: Any) -> Any:
@@ -386,6 +419,23 @@ def with_slow_mean(frame: Any, slow: Any, columns: Any, dt: float, xp: Any) -> t
     return xp.concatenate([frame, slow], -1), slow
 
 
+def arm_reference(q: Any, dq: Any, known: Any, default_q: Any, xp: Any) -> Any:
+    """Return ARM_TERMS (..., 49), NumPy or PyTorch.
+
+    Args:
+        q: Joint positions of the front legs at the times AHEAD (..., 4, 6) [rad].
+        dq: Their velocities then (..., 4, 6) [rad/s].
+        known: 1 where the future is known, else 0 (...,).
+        default_q: Joint positions of the front legs of a zero action (6,) [rad].
+        xp: ``numpy`` or ``torch``.
+    """
+    share = xp.stack([xp.ones_like(known), *[known] * (len(AHEAD) - 1)], -1)[..., None]
+    now = q[..., :1, :]
+    positions = now + share * (q - now) - default_q
+    both = xp.concatenate([positions, DQ_SCALE * share * dq], -1)
+    return xp.concatenate([both.reshape(*both.shape[:-2], ARM_TERMS[0][1]), known[..., None]], -1)
+
+
 def push_frame(history: Any, frame: Any, xp: Any) -> Any:
     """Return the history (..., frames, width) with its oldest frame dropped and ``frame`` appended."""
     return xp.concatenate([history[..., 1:, :], frame[..., None, :]], -2)
@@ -404,6 +454,7 @@ class ObservationBuilder:
         averaged = AVERAGED if contract.columns("slow_mean").size else ()
         self._averaged: IntArray = contract.columns(*averaged)
         self._slow: FloatArray | None = None
+        self._arms: FloatArray | None = None
 
     @property
     def steps(self) -> int:
@@ -420,6 +471,7 @@ class ObservationBuilder:
         p_BE_des: FloatArray,
         omega_B: FloatArray,
         dq: FloatArray,
+        arms: FloatArray | None = None,
     ) -> FloatArray:
         """Return the observation (observation_size,) of this control step.
 
@@ -431,7 +483,9 @@ class ObservationBuilder:
             p_BE_des: Desired base -> front toe (2, 3) [m].
             omega_B: Angular velocity of the base, base axes (3,) [rad/s].
             dq: Joint velocities (12,) [rad/s].
+            arms: `arm_reference` (49,); None while the policy moves the front legs.
         """
+        self._arms = arms
         error = heading_error(quat_WB, heading_des, np)
         self._gait = next_gait(self._gait, np.asarray(v_des), error, self._contract, np)
         frame = observation_frame(
@@ -457,8 +511,14 @@ class ObservationBuilder:
             frames = push_frame(self._frames, frame, np)
         self._frames = frames
         self._steps += 1
-        return frames.reshape(-1)
+        if not self._contract.once:
+            return frames.reshape(-1)
+        standing = np.zeros((len(AHEAD), FRONT))
+        at_rest = arm_reference(standing, standing, np.ones(()), 0.0, np)
+        return np.concatenate([frames.reshape(-1), at_rest if arms is None else arms])
 
     def acted(self, action: FloatArray) -> None:
         """Tell the builder what the policy answered (12,)."""
         self._last_action = np.clip(action, -self._contract.action_clip, self._contract.action_clip)
+        if self._contract.once and self._arms is not None:
+            self._last_action[:FRONT] = 0.0

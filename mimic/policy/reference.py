@@ -34,7 +34,7 @@ def reference(policy: Acts) -> str:
     """Return STEPS control steps of a policy as JSON: made-up inputs, and what it answers.
 
     ``inputs`` has a row per step: q [rad], quat (wxyz), velocity [m/s], heading (desired, [rad]), toes [m], and
-    for a policy that senses them gyro and dq [rad/s].
+    for a policy that senses them gyro and dq [rad/s], and arms, the terms of ``once``.
     ``observation`` is what they become, ``action`` the clipped answer, ``q_des`` what is sent [rad].
     """
     contract = policy.contract
@@ -54,6 +54,8 @@ def reference(policy: Acts) -> str:
     }
     if contract.columns("gyro").size:
         inputs |= {"gyro": 2.0 * wave(3), "dq": 5.0 * wave(12)}
+    if contract.once:
+        inputs["arms"] = wave(sum(width for _, width in contract.once))
     nothing = np.zeros((STEPS, 12))
     builder = ObservationBuilder(contract)
     observations: list[list[float]] = []
@@ -68,6 +70,7 @@ def reference(policy: Acts) -> str:
             p_BE_des=inputs["toes"][step].reshape(2, 3),
             omega_B=inputs.get("gyro", nothing[:, :3])[step],
             dq=inputs.get("dq", nothing)[step],
+            arms=inputs["arms"][step] if contract.once else None,
         )
         action = policy.act(observation)
         builder.acted(action)

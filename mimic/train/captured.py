@@ -9,6 +9,7 @@ and actions are drawn without torch.normal, whose check of the spread waits for 
 from __future__ import annotations
 
 import functools
+import math
 from itertools import chain
 from typing import Any
 
@@ -25,24 +26,37 @@ RATE_RANGE = (1e-5, 1e-2)
 """Bounds of the adaptive learning rate, those of rsl_rl."""
 
 
+HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
+
+
 class DeviceGaussian(GaussianDistribution):
-    """rsl_rl's Gaussian; draws without a check that waits for the device."""
+    """rsl_rl's Gaussian; draws without a check that waits for the device, and looks at the actions that count only."""
 
     def sample(self) -> torch.Tensor:
         """Return actions (N, 12)."""
         with torch.no_grad():
             return torch.randn_like(self.mean) * self.std + self.mean
 
+    def log_prob_of(self, actions: torch.Tensor, counts: torch.Tensor) -> torch.Tensor:
+        """Return the log probability (N,) of those actions (N, 12) for which counts (N, 12) is 1."""
+        away = (actions - self.mean) / self.std
+        return -(counts * (0.5 * away.square() + self.std.log() + HALF_LOG_2_PI)).sum(-1)
+
+    def entropy_of(self, counts: torch.Tensor) -> torch.Tensor:
+        """Return their entropy (N,)."""
+        return (counts * (0.5 + HALF_LOG_2_PI + self.std.log())).sum(-1)
+
+    def divergence_of(self, mean: torch.Tensor, spread: torch.Tensor, counts: torch.Tensor) -> torch.Tensor:
+        """Return the KL divergence (N,) of their distribution of now from one with this mean and spread (N, 12)."""
+        square = (spread.square() + (mean - self.mean).square()) / (2 * self.std.square())
+        return (counts * ((self.std / spread).log() + square - 0.5)).sum(-1)
+
 
 class CapturedPPO(PPO):
     """rsl_rl's PPO for feed-forward Gaussian policies with the adaptive learning rate, replayed."""
 
-    def __init__(
-        self, actor: Any, critic: Any, storage: Any, *, mirror_coef: float, reaching_coef: float, **settings: Any
-    ) -> None:
+    def __init__(self, actor: Any, critic: Any, storage: Any, *, mirror_coef: float, **settings: Any) -> None:
         self._mirror = mirror_coef
-        self.reaching_coef = reaching_coef
-        """Weight of the loss that shows front legs how to reach; may change between updates, but not come from zero."""
         self.policy_share = 1.0
         """Share of the losses of the policy; 0 while only the critic learns."""
         super().__init__(actor, critic, storage, **settings)
@@ -51,10 +65,7 @@ class CapturedPPO(PPO):
         self._entropy_weight = torch.tensor(self.entropy_coef, device=self.device)
         self._wanted_kl = torch.tensor(self.desired_kl, device=self.device)
         self._policy_share = torch.ones((), device=self.device)
-        self._shows_reaching = self.reaching_coef > 0
-        self._losses = ["value", "surrogate", "entropy"]
-        self._losses += ["symmetry"] * bool(self._mirror) + ["reaching"] * self._shows_reaching
-        self._reaching_weight = torch.tensor(self.reaching_coef, device=self.device)
+        self._losses = ["value", "surrogate", "entropy"] + ["symmetry"] * bool(self._mirror)
         self._sums = torch.zeros(len(self._losses), device=self.device)
         self._own = {"lr": self._rate, "capturable": on_gpu, "fused": on_gpu or None, "foreach": None}
         parameters = list(chain(self.actor.parameters(), self.critic.parameters()))
@@ -104,7 +115,7 @@ class CapturedPPO(PPO):
     def _infer(self) -> tuple[Any, ...]:
         actions = self.actor(self._seen, stochastic_output=True).detach()
         values = self.critic(self._seen).detach()
-        log_prob = self.actor.get_output_log_prob(actions).detach()
+        log_prob = self.actor.distribution.log_prob_of(actions, self._seen["own"]).detach()  # type: ignore
         return actions, values, log_prob, tuple(p.detach() for p in self.actor.output_distribution_params)
 
     def compute_returns(self, obs: TensorDict) -> None:
@@ -121,7 +132,6 @@ class CapturedPPO(PPO):
         self._rate.fill_(self.learning_rate)
         self._entropy_weight.fill_(self.entropy_coef)
         self._wanted_kl.fill_(self.desired_kl)
-        self._reaching_weight.fill_(self.reaching_coef)
         self._policy_share.fill_(self.policy_share)
         self._sums.zero_()
         self._gather()
@@ -156,12 +166,11 @@ class CapturedPPO(PPO):
             "advantages": s.advantages.flatten(),
             "mean": mean.flatten(0, 1),
             "spread": spread.flatten(0, 1),
+            "own": seen["own"],
         }
         if self._mirror:
             image = TensorDict({"policy": mirrored_observations(seen["policy"])}, batch_size=seen.batch_size)
             columns["image"] = self.actor.get_latent(image)  # type: ignore[arg-type]
-        if self._shows_reaching:
-            columns["reaching"] = seen["reaching"].flatten(2)
         for name, column in columns.items():
             if name in self._batch:
                 torch.index_select(column, 0, order, out=self._batch[name])
@@ -185,11 +194,12 @@ class CapturedPPO(PPO):
         b = {name: column[i * self._size : (i + 1) * self._size] for name, column in self._batch.items()}
         mean, values = self.actor.mlp(b["actor"]), self.critic.mlp(b["critic"])
         image = self.actor.mlp(b["image"]) if self._mirror else None
-        self.actor.distribution.update(mean)  # type: ignore[union-attr]
-        log_prob = self.actor.get_output_log_prob(b["actions"])
-        entropy = self.actor.output_entropy.mean()
+        policy: Any = self.actor.distribution
+        policy.update(mean)
+        log_prob = policy.log_prob_of(b["actions"], b["own"])
+        entropy = policy.entropy_of(b["own"]).mean()
         with torch.no_grad():
-            kl = self.actor.get_kl_divergence((b["mean"], b["spread"]), self.actor.output_distribution_params).mean()
+            kl = policy.divergence_of(b["mean"], b["spread"], b["own"]).mean()
         ratio = torch.exp(log_prob - b["log_prob"])
         surrogate = -b["advantages"] * ratio
         clipped = -b["advantages"] * torch.clamp(ratio, 1.0 - self.clip_param, 1.0 + self.clip_param)
@@ -198,12 +208,8 @@ class CapturedPPO(PPO):
         losses = [value_loss, surrogate_loss, entropy]
         loss = surrogate_loss - self._entropy_weight * entropy
         if image is not None:
-            losses.append((image - mirrored_actions(mean.detach())).square().mean())
+            losses.append((b["own"] * (image - mirrored_actions(mean.detach())).square()).mean())
             loss = loss + self._mirror * losses[-1]
-        if self._shows_reaching:
-            shown, counts = b["reaching"].unbind(1)
-            losses.append((counts * (mean[:, : shown.shape[1]] - shown).square()).mean())
-            loss = loss + self._reaching_weight * losses[-1]
         loss = self._policy_share * loss + self.value_loss_coef * value_loss
         self._flat.zero_()
         loss.backward()

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from mimic.config.play import RunSettings
 from mimic.config.training import MdpSettings
-from mimic.policy.contract import DQ_SCALE, GYRO_SCALE, INVERSE_KINEMATICS, NETWORK, TERMS, PolicyContract
+from mimic.policy.contract import (
+    ARM_TERMS,
+    DQ_SCALE,
+    GYRO_SCALE,
+    INVERSE_KINEMATICS,
+    NETWORK,
+    TERMS,
+    PolicyContract,
+)
 from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import front_toes
@@ -57,6 +65,7 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         speed_max=tuple(description.speed_max.tolist()),
         delay=description.delay,
         arms=NETWORK if sits else INVERSE_KINEMATICS,
+        once=() if sits else ARM_TERMS,
         training=training,
         task=settings.task,
         interpolate=True,

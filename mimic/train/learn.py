@@ -13,20 +13,20 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rsl_rl.runners import OnPolicyRunner
 
 from mimic.config.training import LearnSettings, MdpSettings
+from mimic.errors import ConfigError
 from mimic.io.store import plain, written_whole
 from mimic.robot.description import RobotDescription
 from mimic.train.contract import make_contract
 from mimic.train.onnx_file import export_network
-from mimic.train.runner import QuietLogger, Report, TimeIsUp, own_device, processes, rank
+from mimic.train.runner import QuietLogger, Report, ResumableRunner, TimeIsUp, own_device, processes, rank
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
 from mimic.train.warm_start import take_over
 
-REACHING_SHARE = 0.4
-"""Share of a training after which front legs are no longer shown how to reach; from then on only rewards count."""
+WORLDS = "worlds_{}.pt"
+"""File of the worlds of a process at the end of a session, beside last.pt; without it worlds begin anew."""
 
 SAVE_EVERY = 100
 """Updates between two checkpoints."""
@@ -52,9 +52,60 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             "desired_kl": settings.desired_kl,
             "use_clipped_value_loss": False,
             "mirror_coef": settings.mirror,
-            "reaching_coef": settings.reaching,
         },
     }
+
+
+class Schedule:
+    """What changes as a training goes on: entropy bonus, wanted divergence, and when a policy begins to learn."""
+
+    def __init__(self, settings: LearnSettings, algorithm: Any) -> None:
+        self._settings, self._algorithm = settings, algorithm
+        self._share, self._critic_alone = 0.0, 0
+
+    def critic_first(self) -> None:
+        """Let only the critic learn for a while."""
+        self._critic_alone = self._settings.critic_updates
+        self._algorithm.policy_share = float(self._critic_alone == 0)
+
+    def reached(self, share: float) -> None:
+        """Go on after an update, at this share of the training."""
+        if self._critic_alone:
+            self._critic_alone -= 1
+            if not self._critic_alone:
+                self._algorithm.begin_policy()
+        self._set(share)
+
+    def _set(self, share: float) -> None:
+        s, self._share = self._settings, min(share, 1.0)
+        self._algorithm.entropy_coef = s.entropy * (s.entropy_end / s.entropy) ** self._share
+        self._algorithm.desired_kl = s.desired_kl * (s.desired_kl_end / s.desired_kl) ** self._share
+
+    def state(self) -> dict[str, Any]:
+        """Return what a checkpoint keeps."""
+        return {"share": self._share, "critic_alone": self._critic_alone}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from there."""
+        self._critic_alone = state["critic_alone"]
+        self._algorithm.policy_share = float(self._critic_alone == 0)
+        self._set(state["share"])
+
+
+def _go_on(runner: Any, env: StandTrackEnv, schedule: Schedule, checkpoint: Path, device: str) -> float:
+    """Take over a checkpoint, and the worlds where they were kept; return how long its training has lasted [s]."""
+    infos = runner.load(str(checkpoint), map_location=device)
+    if not {"updates", "elapsed_s", "env"} <= set(infos or {}):
+        raise ConfigError(f"{checkpoint} is of an older version; go on from its policy.onnx instead")
+    runner.current_learning_iteration = infos["updates"]
+    schedule.restore(infos)
+    env.resume(infos["env"])
+    kept = checkpoint.with_name(WORLDS.format(rank()))
+    if kept.is_file():
+        state = torch.load(kept, weights_only=False, map_location=device)
+        if state["updates"] == infos["updates"]:
+            env.restore(state)
+    return float(infos["elapsed_s"])
 
 
 def settings_text(mdp: MdpSettings, learn: LearnSettings) -> str:
@@ -92,8 +143,6 @@ def train(
     device, first = own_device(learn.device), rank() == 0
     if mdp.task == "sit_down":  # its clock tells the time, which has no mirror image
         learn = replace(learn, mirror=0.0)
-    if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
-        learn = replace(learn, reaching=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True
     settings = settings_text(mdp, learn)
     if first:
@@ -104,40 +153,32 @@ def train(
     own = replace(mdp, worlds=mdp.worlds // processes())
     env = kind(description, own, device, learn.seed + 1000 * rank())
     with contextlib.redirect_stdout(io.StringIO()):
-        runner = OnPolicyRunner(env, runner_config(learn), str(folder), device)
+        runner = ResumableRunner(env, runner_config(learn), str(folder), device)
     runner.logger.__class__ = QuietLogger
-    deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
 
     contract = make_contract(description, mdp, sha256(settings.encode()).hexdigest())
-    critic_alone = 0
-
-    def progressed(share: float) -> None:
-        nonlocal critic_alone
-        if critic_alone:
-            critic_alone -= 1
-            if not critic_alone:
-                runner.alg.begin_policy()  # type: ignore[attr-defined]
-        runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
-        runner.alg.desired_kl = learn.desired_kl * (learn.desired_kl_end / learn.desired_kl) ** min(share, 1.0)
-        if learn.reaching:
-            runner.alg.reaching_coef = learn.reaching * max(1 - share / REACHING_SHARE, 0.0)  # type: ignore
-
-    runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
+    schedule = Schedule(learn, runner.alg)
+    runner.told = lambda: {"contract": contract.to_json(), "env": env.progress(), **schedule.state()}
+    before = 0.0
     if resume is not None and resume.suffix == ".onnx":
         if take_over(runner.alg.actor, resume, contract, learn.resume_std):
             steps = max(mdp.curriculum_latest + mdp.curriculum_steps, *mdp.finish_steps, *mdp.rest_steps)
             env.resume_at(math.ceil(steps))
-        critic_alone = learn.critic_updates
-        runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]
+        schedule.critic_first()
     elif resume is not None:
-        runner.load(str(resume), map_location=device)
-        env.resume_at(runner.current_learning_iteration * learn.steps)
+        before = _go_on(runner, env, schedule, resume, device)
+    if runner.current_learning_iteration >= learn.updates:
+        raise ConfigError(f"{resume} has {runner.current_learning_iteration} updates; set iterations to more than that")
+    limits = (60 * minutes if minutes > 0 else math.inf for minutes in (learn.minutes, learn.session_minutes))
+    runner.logger.attach(report, *limits, before, schedule.reached)  # type: ignore[attr-defined]
     with contextlib.suppress(TimeIsUp):
-        runner.learn(learn.updates)
+        runner.learn(learn.updates - runner.current_learning_iteration)
+    state = {"updates": runner.current_learning_iteration + 1, **env.state()}
+    torch.save(state, folder / WORLDS.format(rank()))
     if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
     if first:
-        runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
+        runner.save(str(folder / "last.pt"))
         policy = runner.alg.get_policy().as_onnx(verbose=False)
         export_network(policy, contract, description, folder / "policy.onnx")
     return folder / "policy.onnx"

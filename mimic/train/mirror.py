@@ -11,9 +11,10 @@ from itertools import chain
 
 import torch
 
-from mimic.policy.contract import AVERAGED, FRAME_SIZE, TERMS
+from mimic.policy.contract import AHEAD, ARM_TERMS, AVERAGED, FRAME_SIZE, TERMS
 
 _JOINTS = ([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8], [-1.0, 1.0, 1.0] * 4)  # abad, hip, knee
+_ARMS = [6 * k + i for k in range(2 * len(AHEAD)) for i in (3, 4, 5, 0, 1, 2)]
 _AXIS = ([0, 1, 2], [1.0, -1.0, 1.0])
 _TURN = ([0, 1, 2], [-1.0, 1.0, -1.0])
 MIRRORED = {
@@ -23,10 +24,11 @@ MIRRORED = {
     "last_action": _JOINTS,
     "velocity_command": ([0, 1], [1.0, -1.0]),
     "heading_error": ([0], [-1.0]),
-    "toe_command": ([3, 4, 5, 0, 1, 2], [1.0, -1.0, 1.0] * 2),
     "clock": ([0, 1], [-1.0, -1.0]),
     "gyro": _TURN,
     "joint_velocity": _JOINTS,
+    "arm_reference": (_ARMS, [-1.0, 1.0, 1.0] * 4 * len(AHEAD)),
+    "arms_known": ([0], [1.0]),
 }
 """For each term of a frame: which of its numbers comes where, and with which sign."""
 
@@ -51,6 +53,7 @@ def mirrored_actions(actions: torch.Tensor) -> torch.Tensor:
 
 def mirrored_observations(observations: torch.Tensor) -> torch.Tensor:
     """Return the policy's observations (N, observation_size) in the mirror."""
-    names = [name for name, _ in TERMS] * (observations.shape[1] // FRAME_SIZE)
+    frames, once = divmod(observations.shape[1], FRAME_SIZE)
+    names = [name for name, _ in TERMS] * frames + [name for name, _ in ARM_TERMS] * bool(once)
     order, signs = _image(observations.device, *names)
     return observations[:, order] * signs

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
+from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.logger import Logger
 
 from mimic.errors import ConfigError, MimicError
@@ -56,17 +57,37 @@ def own_device(wanted: str) -> str:
     return f"cuda:{local}"
 
 
+class ResumableRunner(OnPolicyRunner):
+    """rsl_rl's runner, whose checkpoints say how far the training has come."""
+
+    told: Callable[[], dict[str, Any]] = dict
+    """Returns what else a checkpoint says."""
+
+    def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
+        """Write a checkpoint."""
+        more = {"updates": self.current_learning_iteration + 1, "elapsed_s": self.logger.elapsed, **self.told()}
+        super().save(path, (infos or {}) | more)
+
+
 class QuietLogger(Logger):
     """rsl_rl's logger without its console table and without waiting for the device at each step.
 
     Every process of a training has one; only the first writes, but all stop together.
     """
 
-    def attach(self, report: Report | None, deadline: float, progressed: Callable[[float], None]) -> None:
-        """Say what to call, and when the time is over (of ``time.monotonic``) [s]."""
-        self._report, self._deadline, self._begin = report, deadline, time.monotonic()
-        self._progressed = progressed
+    def attach(
+        self, report: Report | None, seconds: float, session: float, before: float, progressed: Callable[[float], None]
+    ) -> None:
+        """Say what to call, how long training and session may last, and how long the training has lasted [s]."""
+        self._report, self._progressed = report, progressed
+        self._begin = time.monotonic() - before
+        self._seconds, self._last = seconds, min(seconds, before + session)
         self._ended = torch.zeros(3, device=self.device)
+
+    @property
+    def elapsed(self) -> float:
+        """Time of the training by now [s]."""
+        return time.monotonic() - self._begin
 
     def _store_code_state(self) -> list[str]:
         return []  # the settings and their hash are stored; a copy of the user's git state is not asked for
@@ -93,11 +114,10 @@ class QuietLogger(Logger):
             TimeIsUp: In every process, if the time is over in one.
         """
         losses = figures["loss_dict"]
-        elapsed = time.monotonic() - self._begin
+        elapsed = self.elapsed
         broken = not all(math.isfinite(v) for v in losses.values())
-        done, span = it + 1 - figures["start_it"], figures["total_it"] - figures["start_it"]
-        share = max(done / span, elapsed / max(self._deadline - self._begin, 1e-9))
-        broken, over, share = self._agreed(broken, time.monotonic() > self._deadline, share)
+        share = max((it + 1) / figures["total_it"], elapsed / self._seconds)
+        broken, over, share = self._agreed(broken, elapsed > self._last, share)
         if broken:
             raise TrainingDiverged(
                 f"the losses of update {it} are not finite (here {losses}); resume from the last checkpoint"

@@ -1,4 +1,4 @@
-"""What each world is asked for over time: toe goals, velocity and heading. Element-wise over static buffers."""
+"""What each world is asked for over time: arms, velocity and heading. Element-wise over static buffers."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import torch
 
 from mimic.config.leading import LeadingSettings
 from mimic.config.training import MdpSettings
-from mimic.geometry import smoothstep
-from mimic.policy.contract import PolicyContract
+from mimic.policy.contract import AHEAD, FRONT, PolicyContract, lead_time
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.robot.description import RobotDescription
-from mimic.robot.goals import draw_goals
+from mimic.robot.goals import draw_goals, leg_joints
 from mimic.train.tensors import Chance, in_heading_frame, put
 
 POOL = 20_000
@@ -22,14 +21,14 @@ POOL = 20_000
 ANYWHERE = 0.35
 """Share of them drawn over the whole reachable set instead of the paper's boxes."""
 
-GOAL_SECONDS = (0.1, 3.0)
-"""Time between two toe goals [s], log-uniform."""
+ARM_SPEED = (0.8, 10.0)
+"""Fastest joint speed on a way of the arms [rad/s], log-uniform; toes of boxing arms move at up to 1.5 m/s."""
 
-PAPER_GOAL_SECONDS, PAPER_GOAL_SHARE = 3.0, 0.35
-"""Time between two goals in the paper [s], and share of goals that take it, on a straight line."""
+PEAK = 1.875
+"""Fastest speed on a way over its mean speed."""
 
-GOAL_SPEED = 2.0
-"""Fastest mean speed of a toe goal [m/s]."""
+SHORTEST_WAY, LONGEST_HOLD = 0.35, 3.0
+"""No way takes less time than AHEAD looks and a command leads; arms stay no longer [s]."""
 
 FAST_SHARE = 0.5
 """Share of velocities drawn evenly up to the fastest; the others are the paper's 0.1, 0.2 and 0.3 m/s."""
@@ -47,8 +46,12 @@ SETTLES = 2.0
 """A robot that is asked to stand has turned to its heading by this time [s]."""
 
 
-class GoalSchedule(Chance):
-    """Front-toe goals: neutral while standing up, then from goal to goal, some slow and straight, some fast."""
+class ArmSchedule(Chance):
+    """Front legs that go from goal to goal in joint space: each way is a polynomial of fifth degree, at rest at its ends.
+
+    The goal after the next is known, so that a policy can be told what is to come. Source: Flash and Hogan 1985, "The
+    coordination of arm movements" (minimum jerk).
+    """
 
     def __init__(
         self, description: RobotDescription, contract: PolicyContract, settings: MdpSettings, device: str, seed: int
@@ -56,48 +59,75 @@ class GoalSchedule(Chance):
         super().__init__(settings.worlds, device)
         self._hold_share, self._dt = settings.hold_share, contract.dt
         rng = np.random.default_rng([seed, 29])
-        self._pool = self._tensor(draw_goals(description, POOL, rng, anywhere=ANYWHERE))
-        self._neutral = self._tensor(contract.neutral_toes).reshape(2, 3)
-        self.now = self._zeros(2, 3)
-        """Desired base -> front toe (worlds, 2, 3) [m]."""
-        self._begin, self._end = torch.zeros_like(self.now), torch.zeros_like(self.now)
-        self._time, self._straight, self._length = self._zeros(), self._zeros(), self._zeros() + 1.0
+        q, excess = leg_joints(draw_goals(description, POOL, rng, anywhere=ANYWHERE), description)
+        self._pool = self._tensor(q[(excess <= 0.0).all(-1)])
+        self._upright = self._tensor(contract.default_q[:FRONT]).reshape(2, 3)
+        self._blend = contract.blend_steps * contract.dt
+        self._times = self._tensor([lead_time(contract), *AHEAD])
+        self._goals = self._zeros(3, 2, 3)
+        """Where the way of now began, where it ends, and where the next one ends (N, 3, 2, 3) [rad]."""
+        self._lengths = self._zeros(2) + 1.0
+        """How long both ways take (N, 2) [s]."""
+        self._time = self._zeros()
+        self.q, self.dq, self.ddq = (self._zeros(len(self._times), FRONT) for _ in range(3))
+        """Goals of a command that is sent now, and at the times AHEAD (N, 5, 6) [rad, rad/s, rad/s^2]."""
 
-    def advance(self, tracking: torch.Tensor, first: torch.Tensor, toes: torch.Tensor) -> None:
+    def advance(self, tracking: torch.Tensor, first: torch.Tensor, q: torch.Tensor) -> None:
         """Let one control step pass.
 
         Args:
             tracking: True where goals count (N,).
-            first: True where they count from this step on; the path then begins at the measured toes (N,).
-            toes: Measured base -> front toe (N, 2, 3) [m].
+            first: True where they count from this step on; the path then begins at the measured joints (N,).
+            q: Measured joints (N, 12) [rad].
         """
-        self._time.add_(self._dt)
-        due = ((self._time >= self._length) | first) & tracking
-        start = torch.where(first[:, None, None], toes, self._end)
-        goal = self._pool[torch.randint(0, len(self._pool), (self._n,), device=self._device)]
-        goal = torch.where((self._rand() < self._hold_share)[:, None, None], start, goal)
-        low, high = (math.log(v) for v in GOAL_SECONDS)
-        straight = self._rand() < PAPER_GOAL_SHARE
-        length = torch.where(straight, PAPER_GOAL_SECONDS, torch.exp(self._uniform(low, high)))
-        far = (goal - start).norm(dim=-1).amax(-1)
-        shrink = torch.clamp(GOAL_SPEED * length / far.clamp(min=1e-6), max=1.0)[:, None, None]
-        put(self._begin, due, start)
-        put(self._end, due, start + (goal - start) * shrink)
-        put(self._length, due, length)
-        put(self._straight, due, straight.float())
-        put(self._time, due, 0.0)
-        share = torch.clamp(self._time / self._length, 0, 1)
-        share = torch.where(self._straight > 0, share, smoothstep(share))[:, None, None]
-        path = self._begin + share * (self._end - self._begin)
-        self.now.copy_(torch.where(tracking[:, None, None], path, self._neutral))
+        self._time.add_(self._dt * tracking)
+        due = self._time >= self._lengths[:, 0]
+        put(self._time, due, self._time - self._lengths[:, 0])
+        goal, length = self._next(self._goals[:, 2])
+        put(self._goals, due, torch.cat([self._goals[:, 1:], goal[:, None]], 1))
+        put(self._lengths, due, torch.stack([self._lengths[:, 1], length], -1))
+        self._begin(first, q)
+        self._look()
 
-    def reset(self, mask: torch.Tensor, upright: torch.Tensor, toes: torch.Tensor) -> None:
-        """Begin anew where ``mask``: at the measured toes of worlds that start upright, else at neutral."""
-        begin = torch.where(upright[:, None, None], toes, self._neutral)
-        for goal in (self._begin, self._end, self.now):
-            put(goal, mask, begin)
+    def reset(self, mask: torch.Tensor, upright: torch.Tensor, q: torch.Tensor) -> None:
+        """Begin anew where ``mask``: at the measured joints of worlds that start upright, else at rest."""
+        put(self._goals, mask, self._upright.expand_as(self._goals))
         put(self._time, mask, 0.0)
-        put(self._length, mask, self._uniform(0.1, 0.5))
+        self._begin(mask & upright, q)
+        self._look()
+
+    def _begin(self, where: torch.Tensor, q: torch.Tensor) -> None:
+        here = q[:, :FRONT].reshape(-1, 2, 3)
+        goal, _ = self._next(here)
+        after, length = self._next(goal)
+        put(self._goals, where, torch.stack([here, goal, after], 1))
+        put(self._lengths, where, torch.stack([torch.full_like(length, self._blend), length], -1))
+        put(self._time, where, 0.0)
+
+    def _next(self, start: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return where arms go from joints (N, 2, 3) [rad], and how long that takes (N,) [s]; one may stay."""
+        goal = self._pool[torch.randint(0, len(self._pool), (self._n,), device=self._device)]
+        stays = self._rand(2) < self._hold_share
+        goal = torch.where(stays[..., None], start, goal)
+        way = (goal - start).abs().amax((-1, -2))
+        speed = torch.exp(self._uniform(*(math.log(v) for v in ARM_SPEED)))
+        moving = (PEAK * way / speed).clamp(min=SHORTEST_WAY)
+        return goal, torch.where(way > 0.0, moving, self._uniform(SHORTEST_WAY, LONGEST_HOLD))
+
+    def _look(self) -> None:
+        """Work out where the arms are to be."""
+        t = self._time[:, None] + self._times
+        ends = self._lengths[:, :1]
+        later = t > ends
+        length = torch.where(later, self._lengths[:, 1:], ends)
+        share = (torch.where(later, t - ends, t) / length).clamp(0.0, 1.0)[..., None]
+        length = length[..., None]
+        begin, middle, end = (goal.reshape(-1, 1, FRONT) for goal in self._goals.unbind(1))
+        begin, end = torch.where(later[..., None], middle, begin), torch.where(later[..., None], end, middle)
+        way, left = end - begin, 1 - share
+        self.q.copy_(begin + way * share**3 * (10 - 15 * share + 6 * share * share))
+        self.dq.copy_(way * 30 * (share * left).square() / length)
+        self.ddq.copy_(way * 60 * share * left * (1 - 2 * share) / length.square())
 
 
 class MoveSchedule(Chance):

@@ -101,9 +101,6 @@ class SitDownEnv(StandTrackEnv):
     def _command(self) -> None:
         """Nothing is asked for but neutral toes, no velocity and the heading at the start."""
 
-    def _show_reaching(self) -> None:
-        """There is nothing to reach."""
-
     def _pitch(self) -> torch.Tensor:
         return torch.asin(torch.clamp(up_cosine(*self._quat()), -1.0, 1.0))
 

@@ -17,13 +17,16 @@ from tensordict import TensorDict
 
 from mimic.config.rewards import REFINING_TERMS, RESTING_TERMS
 from mimic.config.training import MdpSettings
+from mimic.errors import ConfigError
 from mimic.dynamics.cuda_graphs import Replayed
 from mimic.dynamics.robot_model import command_in_effect
 from mimic.geometry import heading_sin_cos, upright_cosine
 from mimic.io.store import plain
 from mimic.policy.contract import (
     AVERAGED,
-    FRAME_SIZE,
+    FRONT,
+    INVERSE_KINEMATICS,
+    arm_reference,
     commanded_joints,
     heading_error,
     next_gait,
@@ -33,12 +36,13 @@ from mimic.policy.contract import (
 )
 from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription, with_timestep
-from mimic.robot.goals import MARGIN, leg_joints
+from mimic.robot.arm_torques import ArmTorques
+from mimic.robot.goals import MARGIN
 from mimic.robot.leg_kinematics import front_toes
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
 from mimic.train.disturbances import Disturbances
 from mimic.train.rewards import REWARD_SCALE, bells, grown, rising_terms, sliding, stepping
-from mimic.train.schedules import GoalSchedule, MoveSchedule
+from mimic.train.schedules import ArmSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.tensors import Chance, in_heading_frame, put, quat_multiply, quat_rotate
 from mimic.train.worlds import Worlds
@@ -68,15 +72,18 @@ SLIP_HEIGHT = 0.033
 CAPTURE_REACH = 0.05
 """How far a capture point that has left the feet is before or behind the line between them [m]."""
 
-STANDING = 0.7
-"""Cosine between the trunk and upright from which on a front leg is shown how to reach."""
-
 MOST_HEAT, MOST_UNREST, MOST_DRIFT, MOST_SHUFFLE = 2.0, 6.0, 0.3, 0.3
 """More is not counted, since standing up and catching a push need it: sums of squared shares of the torque and of
 squared changes of the action, drift [m], and speed of a hind toe on the ground [m/s]."""
 
 BEARS = 0.2
 """A foot is planted that bears this share of the robot's weight."""
+
+def kept_tensors(value: Any) -> dict[Any, torch.Tensor]:
+    """Return the tensors of an attribute that have memory of their own."""
+    items = value if isinstance(value, dict) else dict(enumerate(value if isinstance(value, list | tuple) else [value]))
+    return {key: t for key, t in items.items() if isinstance(t, torch.Tensor) and 0 not in t.stride()}
+
 
 Judged = tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]
 
@@ -87,7 +94,7 @@ def mean(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
 
 
 class StandTrackEnv(VecEnv, Chance):
-    """Worlds, as rsl_rl steps them, in which a robot stands up, keeps a velocity and heading, and reaches for goals."""
+    """Worlds, as rsl_rl steps them, in which a robot stands up, and keeps a velocity and heading while its arms move."""
 
     soft_margin = np.deg2rad(8.0)
     """A joint nearer to its limit than this costs [rad]."""
@@ -105,7 +112,9 @@ class StandTrackEnv(VecEnv, Chance):
         self.cfg: Any = plain(settings)
         torch.manual_seed(seed)
         self.worlds = Worlds(description, settings, device, seed)
-        self.goals = GoalSchedule(description, self.contract, settings, device, seed)
+        self.arms = ArmSchedule(description, self.contract, settings, device, seed)
+        self._arm_torques = ArmTorques(description, torch, device)
+        self._drives_arms = self.contract.arms == INVERSE_KINEMATICS
         self.moves = MoveSchedule(self.contract, settings, device)
         self._starts = Starts(description, settings, device)
         self.disturbances = Disturbances(settings, description.dt, device, self.worlds.quiet)
@@ -120,6 +129,7 @@ class StandTrackEnv(VecEnv, Chance):
     def _constants(self) -> None:
         d, c = self.description, self.contract
         self._default_q = self._tensor(c.default_q)
+        self._kp, self._kd = self._tensor(c.kp[:FRONT]), self._tensor(c.kd[:FRONT])
         self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
         self._near_min, self._near_max = self._tensor(d.q_min + MARGIN), self._tensor(d.q_max - MARGIN)
         self._soft_min = self._tensor(d.q_min + self.soft_margin)
@@ -140,7 +150,7 @@ class StandTrackEnv(VecEnv, Chance):
         knees = [w.mj_model.body(f"{leg}_knee").id for leg in LEGS[:2]]
         self._front_knees = slice(knees[0], knees[1] + 1, knees[1] - knees[0])
         self._floor_up = torch.tensor([[0.0, 0.0, 1.0]], device=self.device).expand(self.num_envs, 3)
-        half = np.zeros(FRAME_SIZE - len(c.columns("slow_mean")))
+        half = np.zeros(c.frame_size - len(c.columns("slow_mean")))
         for name, width in c.noise:
             half[c.columns(name)] = width
         self._noise_half = self._tensor(half)
@@ -153,14 +163,14 @@ class StandTrackEnv(VecEnv, Chance):
         self._last_action, self._before_last = zeros(12), zeros(12)
         self._commands = [zeros(12) for _ in range(4)]
         self._delay = zeros(1, dtype=torch.long)
-        self._history = zeros(self.settings.history, FRAME_SIZE)
+        self._history = zeros(self.settings.history, self.contract.frame_size)
         self.phase_at_start, self._gait, self._noise = zeros(), zeros(), zeros()
         self._upright_start, self._heading = zeros(dtype=torch.bool), zeros()
         self._toes_at_start, self._dq_before, self._q_before = zeros(2, 3), zeros(12), zeros(12)
         self._termination_share = torch.zeros(1, device=device)
-        seen = self.settings.history * FRAME_SIZE
+        seen = self.contract.observation_size
         self._policy_obs, self._critic_obs = zeros(seen), zeros(seen + CRITIC_EXTRAS)
-        self._reaching = zeros(2, 2, 3)
+        self._own, self._known = zeros(12) + 1.0, zeros()
         self._reward, self._load = zeros(), zeros(2)
         self._done, self._time_out = zeros(dtype=torch.bool), zeros(dtype=torch.bool)
         self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
@@ -175,13 +185,60 @@ class StandTrackEnv(VecEnv, Chance):
         self._calls, begin = 240 * (steps // 240), self.settings.curriculum_latest
         self._ramp = self._passed((begin, begin + self.settings.curriculum_steps))
 
-    def get_observations(self) -> TensorDict:
-        """Return what actor (policy) and critic see of each world, and what nobody sees but the learner.
+    def progress(self) -> dict[str, Any]:
+        """Return how far the curriculum has come."""
+        return {"calls": self._calls, "ramp": self._ramp, "log": {k: float(v) for k, v in self._log.items()}}
 
-        ``reaching`` (N, 2, 2, 3): actions of the front legs that would bring their toes to where they are wanted if the
-        joints followed at once, and 1 where that counts, 0 where there are none or the robot does not stand.
+    def resume(self, progress: dict[str, Any]) -> None:
+        """Go on with a curriculum, with worlds that begin anew."""
+        self._calls, self._ramp = 240 * (progress["calls"] // 240), progress["ramp"]
+        if progress["log"]:
+            self._log_values = torch.tensor(list(progress["log"].values()), device=self.device)
+            self._log = dict(zip(progress["log"], self._log_values.unbind(), strict=True))
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the next step depends on: every tensor of the worlds, and the generators of chance."""
+        generators = {"cpu": torch.get_rng_state()}
+        if str(self.device).startswith("cuda"):
+            generators["cuda"] = torch.cuda.get_rng_state(self.device)
+        tensors = {name: tensor.clone() for name, tensor in self._tensors().items()}
+        return {"progress": self.progress(), "tensors": tensors, "generators": generators}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on exactly from a state of as many worlds of the same settings.
+
+        Raises:
+            ConfigError: If it is of others.
         """
-        seen = {"policy": self._policy_obs, "critic": self._critic_obs, "reaching": self._reaching}
+        self.resume(state["progress"])
+        self._calls = state["progress"]["calls"]
+        there = state["tensors"]
+        for name, tensor in self._tensors().items():
+            if name not in there:
+                continue
+            if there[name].shape != tensor.shape:
+                raise ConfigError(
+                    f"the worlds that were kept have {name} of shape {tuple(there[name].shape)}; the settings have "
+                    f"{tuple(tensor.shape)}; remove their files to begin with new worlds"
+                )
+            tensor.copy_(there[name])
+        torch.set_rng_state(state["generators"]["cpu"].cpu())
+        if "cuda" in state["generators"]:
+            torch.cuda.set_rng_state(state["generators"]["cuda"].cpu(), self.device)
+
+    def _tensors(self) -> dict[str, torch.Tensor]:
+        owners = {"": self, "worlds": self.worlds, "arms": self.arms, "moves": self.moves, "starts": self._starts}
+        owners |= {"disturbances": self.disturbances, "motors": self.worlds.motors}
+        found: dict[str, torch.Tensor] = {}
+        for owner, holder in owners.items():
+            for name, value in vars(holder).items() if holder is not None else ():
+                for key, tensor in kept_tensors(value).items():
+                    found[f"{owner}.{name}.{key}"] = tensor
+        return found
+
+    def get_observations(self) -> TensorDict:
+        """Return what actor (policy) and critic see of each world, and 1 for actions that count, else 0 (own, N, 12)."""
+        seen = {"policy": self._policy_obs, "critic": self._critic_obs, "own": self._own}
         return TensorDict({name: tensor.clone() for name, tensor in seen.items()}, batch_size=[self.num_envs])
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
@@ -201,13 +258,16 @@ class StandTrackEnv(VecEnv, Chance):
 
     def _before_physics(self) -> None:
         c = self.contract
-        action = torch.clamp(torch.nan_to_num(self._actions), -ACTION_CLIP, ACTION_CLIP)
+        action = torch.clamp(torch.nan_to_num(self._actions), -ACTION_CLIP, ACTION_CLIP) * self._own
         self._before_last.copy_(self._last_action)
         self._last_action.copy_(action)
         for age in reversed(range(1, len(self._commands))):
             self._commands[age].copy_(self._commands[age - 1])
         newest, before, before_that, oldest = self._commands
         asked = commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
+        if self._drives_arms:
+            driven = torch.cat([self._arm_targets(), asked[:, FRONT:]], -1)
+            asked = torch.where(self._own > 0.0, asked, driven)
         arrives, motors = self.disturbances.arrives(), self.worlds.motors
         if motors is not None:
             arrives = arrives & motors.arrives()
@@ -220,6 +280,14 @@ class StandTrackEnv(VecEnv, Chance):
         ages, n = (newest, before, before_that, torch.where, [oldest]), self.worlds.decimation
         for k in range(n):
             self.worlds.substep_ctrl[k].copy_(command_in_effect(k, n, self._delay, *ages, interpolate=True))
+
+    def _arm_targets(self) -> torch.Tensor:
+        """Return the position targets of the front legs (N, 6) [rad]; see mimic.control.arms."""
+        w, arms = self.worlds, self.arms
+        q, dq, ddq = (value[:, 0] for value in (arms.q, arms.dq, arms.ddq))
+        tau = self._arm_torques.of(q, dq, ddq, quat_multiply(w.slope_quat, w.qpos[:, 3:7]))
+        peak = self._peak[:FRONT]
+        return q + (self._kd * dq + torch.clamp(tau, -peak, peak)) / self._kp
 
     def _pull(self) -> None:
         """Drag the front toes: a force at a toe is that force at the lower leg's centre of mass, and its moment."""
@@ -238,7 +306,6 @@ class StandTrackEnv(VecEnv, Chance):
         self._quat_WB = quat_multiply(w.slope_quat, w.qpos[:, 3:7])
         self._heading.copy_(torch.arctan2(*heading_sin_cos(*self._quat())))  # both captured graphs read it
         self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
-        self._toes = front_toes(w.qpos[:, 7:], self.description, torch)
 
     def _quat(self) -> tuple[torch.Tensor, ...]:
         return self._quat_WB.unbind(-1)
@@ -311,7 +378,7 @@ class StandTrackEnv(VecEnv, Chance):
 
     def _command(self) -> None:
         first = (self.episode_length_buf == STAND_UP_STEPS + 1) & ~self._upright_start
-        self.goals.advance(self._tracking(), first, self._toes)
+        self.arms.advance(self._tracking(), first, self.worlds.qpos[:, 7:])
         self.moves.advance()
         d = self.disturbances
         self.moves.lead(d.came, d.pull.sum(1)[:, :2], d.hand_velocity, self._heading)
@@ -345,21 +412,16 @@ class StandTrackEnv(VecEnv, Chance):
         speed = speed + bells((self._velocity() - self.moves.wanted).square().sum(-1), (0.35, 0.05))
         turn = heading_error(self._quat_WB, self.moves.heading, torch)
         turning = 0.15 * (1 + torch.cos(turn)) + bells(turn.square(), (0.35, 0.5)) + bells(turn.square(), (0.35, 0.03))
-        off = self._toes - self.goals.now
-        square = off.square().sum((-1, -2))
-        # without the widest bell toes that are 20 cm off never came nearer
-        reaching = bells(square, (0.2, 0.2), (0.4, 0.04), (0.4, 0.01))
+        toes = front_toes(w.qpos[:, 7:], self.description, torch)
+        off = toes - front_toes(self.arms.q[:, 1], self.description, torch)
         drift = (w.qpos[:, :2] - self._anchor).norm(dim=-1)
         efforts, change = self._efforts(), (self._last_action - self._before_last)[:, 6:]
-        overload = torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak
+        overload = self._own * torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak
         terms = efforts | rising_terms(height, self._up, rising, self.description)
         terms |= {
             "alive": torch.ones_like(height),
             "velocity": speed * standing,
             "heading": turning * standing,
-            "toes": reaching * standing * tracking,
-            # while the robot steps too, a policy that reaches within a centimetre would rather not walk
-            "toes_fine": bells(square, (1.0, 0.001)) * standing * tracking * (1 - asked[:, 0]),
             "gait": steps.mean(-1) * standing,
             "drift": drift.clamp(max=MOST_DRIFT) * tracking,
             "slip": slip,
@@ -402,7 +464,8 @@ class StandTrackEnv(VecEnv, Chance):
         q, step, numbers = self.worlds.qpos[:, 7:], self.episode_length_buf, self.description.training
         grounded = low[:, self._grounding].amin(-1) < 0.002
         fallen = tracking & (grounded | (self.worlds.qpos[:, 2] < numbers.height_fallen) | (self._up < 0.3))
-        near = ((q < self._near_min) | (q > self._near_max)).any(-1) & (step > 3)
+        beyond = (q < self._near_min) | (q > self._near_max)
+        near = (beyond & (self._own > 0.0)).any(-1) & (step > 3)
         early = self._early() & (step > 3)
         high = early & (hind[..., 2].amax(-1) > numbers.early_toe_height)
         jump = early & ((q - self._q_before).abs().amax(-1) > numbers.early_joint_step)
@@ -427,19 +490,20 @@ class StandTrackEnv(VecEnv, Chance):
         return clearance, (clearance < 0.003).float(), velocity[:, 2:].norm(dim=-1), slip
 
     def _efforts(self) -> dict[str, torch.Tensor]:
-        """Return the reward terms of motion and torque, which all tasks have."""
-        w, q, dq = self.worlds, self.worlds.qpos[:, 7:], self.worlds.qvel[:, 6:]
+        """Return the reward terms of motion and torque, which all tasks have; of the joints that the policy moves."""
+        w, q, own = self.worlds, self.worlds.qpos[:, 7:], self._own
+        dq = own * w.qvel[:, 6:]
         excess = torch.clamp(self._soft_min - q, min=0.0) + torch.clamp(q - self._soft_max, min=0.0)
-        ddq = (dq - self._dq_before) / self.contract.dt
+        ddq = own * (w.qvel[:, 6:] - self._dq_before) / self.contract.dt
         ddq = torch.where((self.episode_length_buf > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
         dq = dq.clamp(-50, 50)
         return {
-            "action_rate": (self._last_action - self._before_last).square().sum(-1),
-            "torque": (w.motor_torque / self._peak).square().sum(-1),
+            "action_rate": (own * (self._last_action - self._before_last)).square().sum(-1),
+            "torque": (own * w.motor_torque / self._peak).square().sum(-1),
             "joint_velocity": dq.square().sum(-1),
             "joint_speed": torch.clamp(dq.abs() - self.description.training.joint_speed, min=0.0).sum(-1),
             "joint_acceleration": ddq.square().sum(-1),
-            "limits": excess.sum(-1),
+            "limits": (own * excess).sum(-1),
         }
 
     def _toppling(self, hind: torch.Tensor) -> torch.Tensor:
@@ -450,13 +514,6 @@ class StandTrackEnv(VecEnv, Chance):
         ahead, aside = in_heading_frame(capture - hind[..., :2].mean(1), self._heading).abs().unbind(-1)
         apart = in_heading_frame(hind[:, 0, :2] - hind[:, 1, :2], self._heading)[:, 1].abs()
         return (ahead > CAPTURE_REACH) | (aside > 0.5 * apart)
-
-    def _show_reaching(self) -> None:
-        q, excess = leg_joints(self.goals.now, self.description, torch)
-        actions = (q - self._default_q[:6].view(2, 3)) / self.settings.action_scale
-        counts = ((excess <= 0) & (self._tracking() & (self._up > STANDING))[:, None])[..., None]
-        self._reaching[:, 0].copy_(torch.where(counts, actions, 0.0))
-        self._reaching[:, 1].copy_(counts.expand_as(actions))
 
     def _first_phase(self, start: Start) -> torch.Tensor:
         """Return the gait phase (N,) at the first step [rad]."""
@@ -506,7 +563,9 @@ class StandTrackEnv(VecEnv, Chance):
         put(self._q_before, mask, start.qpos[:, 7:])
         self.episode_length_buf.mul_(~mask)
         self.moves.reset(mask, start.heading)
-        self.goals.reset(mask, start.upright, self._toes)
+        self.arms.reset(mask, start.upright, w.qpos[:, 7:])
+        unknown = (self._rand() < self.settings.unknown_share) | self.disturbances.led
+        put(self._known, mask, (~unknown).float())
 
     def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
         w, n = self.worlds, self.num_envs
@@ -522,7 +581,7 @@ class StandTrackEnv(VecEnv, Chance):
             last_action=self._last_action,
             v_des=self.moves.velocity,
             error=error,
-            toes_des=self.goals.now.reshape(n, 6),
+            toes_des=None,
             phase=self._phase(),
             gait=self._gait,
             omega_B=omega,
@@ -536,7 +595,13 @@ class StandTrackEnv(VecEnv, Chance):
         pushed = push_frame(self._history, noisy, torch)
         first = noisy[:, None, :].expand_as(pushed)
         self._history.copy_(torch.where(fresh[:, None, None], first, pushed))
-        self._policy_obs.copy_(self._history.reshape(n, -1))
+        seen = [self._history.reshape(n, -1)]
+        if self._drives_arms:
+            driven = self._tracking()
+            self._own[:, :FRONT] = (~driven[:, None]).float()
+            known = torch.where(driven, self._known, 1.0)
+            seen.append(arm_reference(self.arms.q[:, 1:], self.arms.dq[:, 1:], known, self._default_q[:FRONT], torch))
+        self._policy_obs.copy_(torch.cat(seen, -1))
         feet = low[:, self._hind_toes]
         delay = self._delay.float() if w.motors is None else w.motors.delay(self._delay).mean(-1, keepdim=True)
         extras = [
@@ -551,7 +616,7 @@ class StandTrackEnv(VecEnv, Chance):
             (feet < 0.003).float(),
             self._load,
             feet.clamp(max=0.2) * 10,
-            (self._toes - self.goals.now).reshape(n, 6) * 5,
+            (w.qpos[:, 7 : 7 + FRONT] - self.arms.q[:, 1]) * 2,
             self._tracking().float()[:, None],
             torch.clamp(self.episode_length_buf.float() / STAND_UP_STEPS, max=2.0)[:, None],
             w.features,
@@ -563,6 +628,5 @@ class StandTrackEnv(VecEnv, Chance):
             self._noise[:, None],
             w.quiet.float()[:, None],
         ]
-        seen = torch.cat([self._policy_obs, *extras], -1)  # a world that exploded has its shapes back after a step
-        self._critic_obs.copy_(torch.nan_to_num(seen).clamp(-50, 50))
-        self._show_reaching()
+        known = torch.cat([self._policy_obs, *extras], -1)  # a world that exploded has its shapes back after a step
+        self._critic_obs.copy_(torch.nan_to_num(known).clamp(-50, 50))

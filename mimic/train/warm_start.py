@@ -18,7 +18,7 @@ from mimic.policy.contract import AVERAGED, METADATA_KEY, PolicyContract
 SEEN = 10**9
 """Observations that count as seen by the normalisation taken over, so that new ones hardly move it."""
 
-NEW_SPREAD = {"gyro": 0.2, "joint_velocity": 0.1, "slow_mean": 0.2}
+NEW_SPREAD = {"gyro": 0.2, "joint_velocity": 0.1, "slow_mean": 0.2, "arm_reference": 0.5, "arms_known": 0.5}
 """Spread of the terms of an observation that a policy lacked, for its normalisation."""
 
 MEANING = ("joints", "action_scale", "action_clip", "dt")
@@ -28,8 +28,9 @@ MEANING = ("joints", "action_scale", "action_clip", "dt")
 def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -> bool:
     """Put the network of a policy into an actor of rsl_rl, which then acts as the policy does.
 
-    The actor may see more frames than the policy, which come first in an observation, and more terms, which come last
-    in a frame. Those have weights of zero.
+    The actor may see more frames than the policy, which come first in an observation, and other terms; those have
+    weights of zero. Where it does not see the toe command that the policy saw, it acts as the policy does for neutral
+    toes.
 
     Args:
         actor: An MLPModel with normalised observations, changed in place.
@@ -60,29 +61,38 @@ def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -
     linear = [m for m in actor.mlp if isinstance(m, torch.nn.Linear)]
     here = [(m.out_features, m.in_features) for m in linear]
     there = [w.shape for w, _ in layers]
-    width, old = contract.frame_size, known.frame_size
-    frames, had = here[0][1] // width, len(mean) // old
-    if frames < had or [(o, frames * width if k == 0 else i) for k, (o, i) in enumerate(there)] != here:
+    if known.history > contract.history or [(o, i) for o, i in there[1:]] != here[1:] or there[0][0] != here[0][0]:
         raise ConfigError(
             f"{path.name} has layers of {_sizes(there)}; the settings shape {_sizes(here)}; "
             "set hidden and history to those of the policy (history may be longer)"
         )
-    means, scales = np.zeros((frames, width), mean.dtype), np.ones((frames, width), mean.dtype)
-    means[:, :old], scales[:, :old] = mean.reshape(had, old)[0], scale.reshape(had, old)[0]
-    means[-had:, :old], scales[-had:, :old] = mean.reshape(had, old), scale.reshape(had, old)
-    for name, _ in contract.terms[len(known.terms) :]:
-        scales[:, contract.columns(name)] = NEW_SPREAD[name]
-        if name == "slow_mean":  # it begins at the mean of what it averages
-            means[:, contract.columns(name)] = means[:, contract.columns(*AVERAGED)]
     first, bias = layers[0]
-    columns = np.zeros((len(first), frames, width), first.dtype)
-    columns[:, -had:, :old] = first.reshape(len(first), had, old)
-    layers = [(columns.reshape(len(first), -1), bias), *layers[1:]]
-    mean, scale = means.reshape(-1), scales.reshape(-1)
+    fresh = [(name, at) for name, at in _places(contract) if name not in dict(known.terms + known.once)]
+    means, scales = np.zeros(here[0][1], mean.dtype), np.ones(here[0][1], mean.dtype)
+    columns = np.zeros(here[0], first.dtype)
+    for frame in range(-contract.history, 0):
+        source = max(frame, -known.history)
+        for name, _ in contract.terms:
+            if name not in dict(known.terms):
+                continue
+            at = (contract.history + frame) * contract.frame_size + contract.columns(name)
+            old = (known.history + source) * known.frame_size + known.columns(name)
+            means[at], scales[at] = mean[old], scale[old]
+            if frame == source:
+                columns[:, at] = first[:, old]
+    for name, at in fresh:
+        scales[at] = NEW_SPREAD[name]
+        if name == "slow_mean":  # it begins at the mean of what it averages
+            means[at] = means[at[0] - contract.columns(name)[0] + contract.columns(*AVERAGED)]
+    if known.columns("toe_command").size:  # which is no longer seen: as if arms were at rest
+        at = (np.arange(known.history)[:, None] * known.frame_size + known.columns("toe_command")).reshape(-1)
+        rest = np.tile(known.neutral_toes, known.history)
+        bias = bias + first[:, at] @ ((rest - mean[at]) / scale[at]).astype(first.dtype)
+    layers = [(columns, bias), *layers[1:]]
     normalizer = actor.obs_normalizer
     with torch.no_grad():
-        normalizer._mean.copy_(torch.as_tensor(mean)[None])
-        normalizer._std.copy_(torch.as_tensor(scale)[None] - normalizer.eps)
+        normalizer._mean.copy_(torch.as_tensor(means)[None])
+        normalizer._std.copy_(torch.as_tensor(scales)[None] - normalizer.eps)
         normalizer._var.copy_(normalizer._std.square())
         normalizer.count.fill_(SEEN)
         for module, (weight, bias) in zip(linear, layers, strict=True):
@@ -94,10 +104,6 @@ def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -
 
 def _compare(name: str, there: PolicyContract, here: PolicyContract) -> None:
     """Refuse a policy whose numbers mean something else."""
-    if there.terms != here.terms[: len(there.terms)]:
-        raise ConfigError(
-            f"{name} has the terms {there.terms} in a frame; a training goes on from {here.terms} or its first"
-        )
     for field in MEANING:
         old, new = getattr(there, field), getattr(here, field)
         if old != new:
@@ -105,6 +111,18 @@ def _compare(name: str, there: PolicyContract, here: PolicyContract) -> None:
                 f"{name} has {field} {old}; the settings have {new}, and the network would mean "
                 "something else; use the settings of its training"
             )
+
+
+def _places(contract: PolicyContract) -> list[tuple[str, Any]]:
+    """Return the columns of an observation that each term of each frame has, and then each term that comes once."""
+    found = []
+    for frame in range(contract.history):
+        found += [(name, frame * contract.frame_size + contract.columns(name)) for name, _ in contract.terms]
+    begin = contract.history * contract.frame_size
+    for name, width in contract.once:
+        found.append((name, np.arange(begin, begin + width)))
+        begin += width
+    return found
 
 
 def _sizes(shapes: Sequence[tuple[int, ...]]) -> str:

@@ -40,6 +40,7 @@ RANDOMISED = (
     "geom_friction",
     "geom_solref",
     "actuator_gainprm",
+    "actuator_forcerange",
     "body_mass",
     "body_inertia",
     "body_ipos",
@@ -59,8 +60,8 @@ BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), in
 QUIET_ROBOT = Randomisation(com=(-0.015, 0.015))
 """The robots of quiet worlds."""
 
-LINE_SEARCHES = 6
-"""Line-search iterations of the training physics."""
+LINE_SEARCHES = 20
+"""Line-search iterations of the training physics; see MdpSettings.solver_iterations."""
 
 CONTACTS, SPARE_CONTACTS = 8, 64
 """Most contacts of a world on average, since all worlds share one store, and room beyond that, which few worlds do not
@@ -174,6 +175,7 @@ class Worlds:
             ranges = QUIET_ROBOT if i < quiet else settings.randomisation
             v = draw_variation(ranges, description.timestep, rng)
             v = replace(v, kp=v.kp * other.uniform(*d.kp), kd=v.kd * other.uniform(*d.kd))
+            v = replace(v, torque=other.uniform(*d.torque), speed=other.uniform(*d.speed))
             vary_model(varied, nominal, v)
             if self.motors is not None:
                 self.motors.write_static(varied, i)
@@ -232,7 +234,7 @@ class Worlds:
         grounds = [bouncing((1 + share * (slower - 1)) * time, share * bounce) for bounce, slower in self._grounds]
         solref = torch.tensor(grounds, device=self.device)
         self._solref[:, self._floor] = solref[self._ground_of]
-        self._stiffer.copy_(self._ratio ** (-0.5 * share))
+        self._stiffer.copy_(self._ratio**-0.5)
         if self.motors is None:
             self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
         else:

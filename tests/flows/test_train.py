@@ -84,7 +84,7 @@ def test_the_last_command_on_a_card_has_the_settings_of_its_training(name):
     commands = re.findall(r"^    (mimic train .*)", card.replace("\\\n", ""), re.MULTILINE)
     command = shlex.split(commands[-1])
     mdp, learn = training_settings(command[command.index("--recipe") + 1], command[command.index("--set") + 1 :])
-    taken_up = replace(learn, reaching=0.0, mirror=0.0 if mdp.task == "sit_down" else learn.mirror)  # as train does
+    taken_up = replace(learn, mirror=0.0 if mdp.task == "sit_down" else learn.mirror)  # as train does
     stored = shipped("policies", f"{name}.settings.json").read_text(encoding="utf-8")
     then, now = json.loads(stored), json.loads(json.dumps({"mdp": plain(mdp), "learn": plain(taken_up)}))
     assert then["mdp"].pop("rest_share_at_first") == 0.0  # rest_steps came in its place

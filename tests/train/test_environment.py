@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from mimic.config.leading import HandSettings
-from mimic.config.play import NOMINAL, Solver
+from mimic.config.play import NOMINAL, Randomisation, Solver
 from mimic.config.rewards import FinishFactors, RewardWeights
 from mimic.config.training import UNDISTURBED, MdpSettings
 from mimic.dynamics.robot_model import load_model, restitution_damping
-from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
+from mimic.policy.contract import FRAME_SIZE, FRONT, ObservationBuilder, arm_reference, joint_command
 from mimic.records import JointCommand
 from mimic.robot.description import with_timestep
 from mimic.robot.leg_kinematics import front_toes
@@ -21,6 +21,7 @@ from mimic.simulation.plant import SimulatedPlant
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
+from mimic.train.contract import STAND_UP_STEPS  # noqa: E402
 from mimic.train.schedules import SETTLES  # noqa: E402
 from mimic.train.stand_track import BEARS, MOST_DRIFT, MOST_SHUFFLE, StandTrackEnv  # noqa: E402
 
@@ -58,8 +59,18 @@ def policy_observation(env: StandTrackEnv) -> np.ndarray:
 
 def newest(env: StandTrackEnv, term: str) -> np.ndarray:
     """Return a term of the newest frames (worlds, width)."""
-    frames = env.get_observations()["policy"].numpy().reshape(env.num_envs, env.settings.history, -1)
+    seen = env.get_observations()["policy"].numpy()[:, : env.settings.history * FRAME_SIZE]
+    frames = seen.reshape(env.num_envs, env.settings.history, -1)
     return frames[:, -1, env.contract.columns(term)]
+
+
+def seen_arms(env: StandTrackEnv, world: int) -> np.ndarray | None:
+    """Return what a player tells a policy of its arms, from where training says they will be."""
+    if not env._tracking()[world]:
+        return None
+    q, dq = env.arms.q[world, 1:].numpy(), env.arms.dq[world, 1:].numpy()
+    default_q = np.array(env.contract.default_q[:FRONT])
+    return arm_reference(q, dq, env._known[world].numpy(), default_q, np)
 
 
 def test_training_and_running_build_the_same_observation(env):
@@ -79,14 +90,15 @@ def test_training_and_running_build_the_same_observation(env):
                     quat_WB=measured[i, 3:7],
                     v_des=env.moves.velocity[i].numpy(),
                     heading_des=float(env.moves.heading[i]),
-                    p_BE_des=env.goals.now[i].numpy(),
+                    p_BE_des=np.zeros((2, 3)),
                     omega_B=speeds[i, 3:6],
                     dq=speeds[i, 6:],
+                    arms=seen_arms(env, i),
                 )
                 for i, builder in enumerate(builders)
             ]
         )
-        if step >= env.settings.history:  # by then no frame is left from before the clock was set
+        if step > env.settings.history:  # by then no frame is left from before the clock was set
             assert np.abs(running - policy_observation(env))[alive].max() < 1e-5
             compared += int(alive.sum())
         action = actions(step) * (50.0 if step == 5 else 1.0)
@@ -97,16 +109,15 @@ def test_training_and_running_build_the_same_observation(env):
         _, _, done, _ = env.step(action)
         alive &= done.numpy() == 0
     assert compared > 20
-    clocks = np.linalg.norm(
-        running.reshape(env.num_envs, env.settings.history, -1)[:, -1, env.contract.columns("clock")], axis=1
-    )
+    frames = running[:, : env.settings.history * FRAME_SIZE].reshape(env.num_envs, env.settings.history, -1)
+    clocks = np.linalg.norm(frames[:, -1, env.contract.columns("clock")], axis=1)
     assert clocks[::2].min() > 0.5
     assert (clocks[1::2] == 0.0).any()
 
 
 def test_the_critic_sees_what_the_policy_sees_and_more(env):
     seen = env.get_observations()
-    width = env.settings.history * FRAME_SIZE
+    width = env.contract.observation_size
     assert seen["policy"].shape == (env.num_envs, width)
     assert seen["critic"].shape[1] > width
     assert torch.equal(seen["critic"][:, :width], seen["policy"].clamp(-50, 50))
@@ -142,26 +153,55 @@ def test_training_physics_is_that_of_the_simulation(description, timestep, monke
     assert moved > 0.05
 
 
-def test_front_legs_are_shown_actions_that_reach_their_goals(env, description):
-    shown, counts = env.get_observations()["reaching"].unbind(1)
-    goal = newest(env, "toe_command").reshape(-1, 2, 3)
-    counts = counts.bool().all(-1).numpy()
-    q = np.tile(description.poses["upright"], (env.num_envs, 1))
-    q[:, :6] += env.settings.action_scale * shown.reshape(-1, 6).numpy()
-    reached = front_toes(q, description)
-    assert counts.any()
-    assert not counts.all()
-    assert np.abs(reached - goal)[counts].max() < 1e-5
-    assert (shown.numpy()[~counts] == 0).all()
+@pytest.mark.parametrize(("ranges", "most"), [(NOMINAL, 0.25), (Randomisation(), 0.5)])
+def test_arms_are_where_they_should_be(description, ranges, most):
+    """Of robots that are held up; mean distance of the toes [cm]."""
+    env = make(description, worlds=16, randomisation=ranges, upright_share_at_first=1.0)
+    errors, fast = [], []
+    before = env.arms.q[:, 1].clone()
+    for step in range(90):
+        env.worlds.qpos[:, 2] = 1.0
+        env.worlds.qvel[:, :6] = 0.0
+        env.step(torch.zeros(16, 12))
+        q, wanted = env.worlds.qpos[:, 7:13], env.arms.q[:, 1]
+        toes = front_toes(q, description, torch) - front_toes(wanted, description, torch)
+        moved = front_toes(wanted, description, torch) - front_toes(before, description, torch)
+        before = wanted.clone()
+        going = env.episode_length_buf > 30
+        if step > 30:
+            errors.append(100 * toes.norm(dim=-1)[going])
+            fast.append(moved.norm(dim=-1)[going] / env.contract.dt)
+    assert torch.cat(errors).mean() < most
+    assert torch.cat(fast).max() > 1.0
 
 
-def test_toes_are_those_of_the_robot(env, description):
-    q = env.worlds.qpos[:, 7:].numpy().astype(np.float64)
-    critic = env.get_observations()["critic"].numpy()
-    goal = newest(env, "toe_command").reshape(-1, 2, 3)
-    error = front_toes(q, description) - goal
-    found = [np.abs(critic[:, i : i + 6] - 5 * error.reshape(-1, 6)).max() for i in range(critic.shape[1] - 5)]
-    assert min(found) < 1e-4
+def test_a_policy_moves_front_legs_until_the_blend_and_then_not(description):
+    env = make(description, upright_share=1.0, upright_share_at_first=1.0, randomisation=NOMINAL)
+    env._upright_start.fill_(False)
+    env.episode_length_buf.fill_(STAND_UP_STEPS - 2)
+    env.step(actions(9))
+    own = []
+    for step in range(6):
+        env.step(actions(step))
+        own.append(env.get_observations()["own"].clone())
+    assert own[0].min() == 1.0
+    alive = env.episode_length_buf > STAND_UP_STEPS
+    assert alive.any()
+    assert own[-1][alive, :6].max() == 0.0
+    assert own[-1][:, 6:].min() == 1.0
+    assert (newest(env, "last_action")[alive.numpy(), 6:] != 0.0).all()
+
+
+def test_motors_differ_in_torque_and_speed(description):
+    ranges = dataclasses.replace(UNDISTURBED, torque=(0.7, 1.5), speed=(0.7, 1.5))
+    model = make(description, worlds=40, disturbances=ranges).worlds.model
+    most = model.actuator_forcerange.numpy()[..., 1]
+    constant, resistance = model.actuator_gainprm.numpy()[..., 1], model.actuator_gainprm.numpy()[..., 0]
+    fastest = description.voltage / constant
+    assert 0.7 <= (most / description.torque_max).min() < 0.8 < 1.4 < (most / description.torque_max).max() <= 1.5
+    assert 0.7 <= (fastest / description.speed_max).min() < 0.8 < 1.4 < (fastest / description.speed_max).max() <= 1.5
+    flat = fastest - most * resistance / constant**2
+    assert flat == pytest.approx(description.speed_flat / description.speed_max * fastest, rel=1e-3)
 
 
 def test_an_environment_of_the_same_seed_goes_the_same_way(description):
@@ -215,7 +255,7 @@ def test_a_world_that_explodes_is_started_again(env):
 def test_noise_is_on_measured_terms_only(description):
     quiet = make(description)
     noisy = make(description, noise_q=0.01, noise_axes=0.015, noise_gyro=0.2, noise_dq=0.9)
-    difference = np.abs(policy_observation(noisy) - policy_observation(quiet)).reshape(-1, FRAME_SIZE)
+    difference = np.abs(policy_observation(noisy) - policy_observation(quiet))[:, : quiet.settings.history * FRAME_SIZE].reshape(-1, FRAME_SIZE)
     columns, rest = noisy.contract.columns, difference.copy()
     halves = {"joint_position": 0.01, "down": 0.015, "forward": 0.015, "gyro": 0.05, "joint_velocity": 0.045}
     for name, half in halves.items():

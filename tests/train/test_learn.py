@@ -85,13 +85,34 @@ def test_another_seed_gives_another_policy(trained, tmp_path):
     assert not all(torch.equal(first[name], second[name]) for name in first)
 
 
-def test_a_resumed_training_goes_on_from_its_checkpoint(trained, tmp_path):
-    train(tmp_path, MDP, LEARN, resume=trained / "last.pt")
-    before, after = (torch.load(folder / "last.pt", weights_only=False) for folder in (trained, tmp_path))
+def test_a_training_in_two_sessions_is_that_in_one(tmp_path):
+    """Worlds, chance, curriculum, optimiser and critic go on; four updates in one and in two sessions."""
+    whole = dataclasses.replace(LEARN, iterations=4, minutes=0.0)
+    train(tmp_path / "one", MDP, whole)
+    train(tmp_path / "first", MDP, dataclasses.replace(whole, session_minutes=1e-6))
+    train(tmp_path / "second", MDP, whole, resume=tmp_path / "first" / "last.pt")
+    saved = [torch.load(tmp_path / name / "last.pt", weights_only=False) for name in ("one", "first", "second")]
+    assert [each["infos"]["updates"] for each in saved] == [4, 1, 4]
+    one, first, second = saved
+    for network in ("actor_state_dict", "critic_state_dict"):
+        apart = [(one[network][name].double() - second[network][name].double()).abs().max() for name in one[network]]
+        assert max(apart) < 1e-6
+        assert not torch.equal(first[network]["mlp.0.weight"], second[network]["mlp.0.weight"])
+
+
+def test_a_training_goes_on_with_new_worlds_where_the_old_ones_were_not_kept(trained, tmp_path):
+    (tmp_path / "last.pt").write_bytes((trained / "last.pt").read_bytes())
+    train(tmp_path / "on", MDP, dataclasses.replace(LEARN, iterations=2), resume=tmp_path / "last.pt")
+    before, after = (torch.load(folder / "last.pt", weights_only=False) for folder in (trained, tmp_path / "on"))
     seen = "obs_normalizer.count"
     assert after["actor_state_dict"][seen] == 2 * before["actor_state_dict"][seen]
     steps = [next(iter(saved["optimizer_state_dict"]["state"].values()))["step"] for saved in (before, after)]
     assert steps[1] == 2 * steps[0]
+
+
+def test_a_training_that_is_at_its_end_is_not_resumed(trained, tmp_path):
+    with pytest.raises(ConfigError, match=r"last\.pt has 1 updates; set iterations to more"):
+        train(tmp_path, MDP, LEARN, resume=trained / "last.pt")
 
 
 def test_each_update_is_reported_with_its_figures(tmp_path):

@@ -25,7 +25,7 @@ together = pytest.mark.skipif(
     not (torch.distributed.is_available() and torch.distributed.is_gloo_available()), reason="PyTorch without gloo"
 )
 MDP = MdpSettings(worlds=2, history=2)
-LEARN = LearnSettings(device="cpu", steps=4, hidden=(16, 8), epochs=2, minibatches=2, reaching=0.0, mirror=0.0)
+LEARN = LearnSettings(device="cpu", steps=4, hidden=(16, 8), epochs=2, minibatches=2, mirror=0.0)
 
 
 class RunnerOnCpus(OnPolicyRunner):
@@ -45,7 +45,7 @@ def learned(env: StandTrackEnv, seed: int, plain: bool) -> torch.Tensor:
     config = runner_config(LEARN)
     if plain:
         config["algorithm"]["class_name"] = "PPO"
-        del config["algorithm"]["reaching_coef"], config["algorithm"]["mirror_coef"]
+        del config["algorithm"]["mirror_coef"]
     runner = RunnerOnCpus(env, config, None, "cpu")
     if runner.is_distributed:
         runner.alg.broadcast_parameters()

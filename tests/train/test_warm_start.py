@@ -8,7 +8,7 @@ import pytest
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import AssetError, ConfigError
-from mimic.policy.contract import FRAME_SIZE, PAPER_TERMS
+from mimic.policy.contract import ARM_TERMS, FRAME_SIZE, PAPER_TERMS
 from mimic.policy.runtime import Policy
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -21,6 +21,7 @@ from mimic.train.learn import train as train_robot  # noqa: E402
 train = partial(train_robot, description=load_description("cyberdog2"))
 
 MDP = MdpSettings(worlds=4, history=3)
+ONCE = sum(width for _, width in ARM_TERMS)
 LEARN = LearnSettings(device="cpu", steps=4, iterations=1, hidden=(16, 8), epochs=1, minibatches=1, critic_updates=100)
 
 
@@ -43,7 +44,7 @@ def answers(path, description, observations):
 def test_a_training_that_goes_on_from_a_policy_begins_as_that_policy_acts(policy, more, description, tmp_path):
     mdp = dataclasses.replace(MDP, history=3 + more)
     taken = train(tmp_path, mdp, LEARN, resume=policy)
-    seen = np.random.default_rng(0).normal(size=(20, FRAME_SIZE * (3 + more))).astype(np.float32)
+    seen = np.random.default_rng(0).normal(size=(20, FRAME_SIZE * (3 + more) + ONCE)).astype(np.float32)
     old = answers(policy, description, seen[:, FRAME_SIZE * more :])
     assert np.abs(answers(taken, description, seen) - old).max() < 1e-4
     assert np.abs(old).max() > 1e-2
@@ -79,7 +80,7 @@ def test_the_first_step_of_the_policy_is_as_small_as_the_smallest_learning_rate(
     assert 0.5e-5 < step < 1.1e-5
 
 
-@pytest.mark.parametrize(("changes", "sizes"), [({"hidden": (8, 8)}, "228-16-8-12"), ({"history": 2}, "228-16-8-12")])
+@pytest.mark.parametrize(("changes", "sizes"), [({"hidden": (8, 8)}, "259-16-8-12"), ({"history": 2}, "259-16-8-12")])
 def test_a_policy_of_another_size_is_refused(policy, changes, sizes, tmp_path):
     learn = dataclasses.replace(LEARN, **{k: v for k, v in changes.items() if k == "hidden"})
     mdp = dataclasses.replace(MDP, **{k: v for k, v in changes.items() if k == "history"})
