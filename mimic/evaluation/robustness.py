@@ -43,7 +43,8 @@ SOLVERS: dict[str, tuple[Solver, Randomisation]] = {
     "1 ms implicitfast elliptic": (Solver(timestep=0.001), Randomisation()),
     "2.5 ms implicit elliptic": (Solver(integrator="implicit"), Randomisation()),
     "1 ms Euler elliptic": (Solver(timestep=0.001, integrator="Euler"), Randomisation()),
-    "2.5 ms implicitfast pyramidal": (Solver(cone="pyramidal"), Randomisation()),
+    "2.5 ms implicitfast elliptic, impratio 1": (Solver(impratio=1.0), Randomisation()),
+    "2.5 ms implicitfast pyramidal, impratio 1": (Solver(cone="pyramidal", impratio=1.0), Randomisation()),
     "2.5 ms implicitfast pyramidal, impratio 10": (Solver(cone="pyramidal", impratio=10.0), Randomisation()),
     "1 ms implicitfast pyramidal, impratio 10": (
         Solver(timestep=0.001, cone="pyramidal", impratio=10.0),

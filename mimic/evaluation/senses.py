@@ -68,7 +68,9 @@ class SensingPolicy(Policy):
             before = drawn[self._averaged] if self._slow is None else self._slow
             drawn, self._slow = with_slow_mean(drawn, before, self._averaged, c.dt, np)
         self._noise = np.tile(drawn, (c.history, 1)) if self._noise is None else np.vstack([self._noise[1:], drawn])
-        return super().act((observation.reshape(c.history, -1) * self._hears + self._noise).ravel())
+        width = c.history * c.frame_size
+        frames = observation[:width].reshape(c.history, -1) * self._hears + self._noise
+        return super().act(np.concatenate([frames.ravel(), observation[width:]]))
 
 
 def _half_widths(contract: PolicyContract, senses: Senses) -> FloatArray:
