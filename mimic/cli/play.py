@@ -25,6 +25,7 @@ def play(
     sim: Annotated[bool, o.Flag] = False,
     robot: str | None = None,
     text: str | None = None,
+    plan: Annotated[bool, o.Flag] = False,
     camera: str | None = None,
     out: o.Out = None,
     video: Annotated[Path | None, Parameter(group=o.OUTPUT)] = None,
@@ -52,6 +53,8 @@ def play(
         cyberdog2 for a stock one, go2 for a Unitree Go2 EDU. Without a source it stands until Ctrl-C.
     text
         Play a sentence, such as "step forward, then wave the left hand".
+    plan
+        Print how the sentence is understood, and play nothing.
     camera
         Follow a camera live: its number or device, or a video file in its place.
     out
@@ -61,6 +64,8 @@ def play(
     view
         Open the Rerun viewer at the end; default: if there is a display.
     """
+    if plan:
+        return _show_plan(text, o.input_settings(language=language), model)
     if sim == (robot is not None):
         raise ConfigError(
             "add --sim for the simulated robot, or --robot can0 for a real one on that bus"
@@ -106,6 +111,19 @@ def play(
     played: Path | str = source if text is None else text  # type: ignore[assignment]
     saved = play_source(played, settings, run=run, effects=model, out=out, film=video, reporter=ConsoleReporter())
     return show_simulated(saved, played.name if isinstance(played, Path) else played, view)
+
+
+def _show_plan(sentence: str | None, settings: InputSettings, model: o.Effects) -> int:
+    """Print how a sentence is understood."""
+    from mimic.cli.console import ConsoleReporter
+    from mimic.flows.motion import motion_from_text
+    from mimic.flows.play import load_robot
+
+    if sentence is None:
+        raise ConfigError('--plan shows how a sentence is understood: give --text "wave the left hand"')
+    robot = load_robot(DEFAULT_ROBOT if model is None else model.robot_model)
+    motion_from_text(sentence, settings, description=robot, reporter=ConsoleReporter())
+    return DONE
 
 
 def _options(settings: Any) -> str:

@@ -56,7 +56,7 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
     home = reach.description.poses["upright"][:FRONT]
     hands = {"left": home[:3], "right": home[3:]}
     heading, frames = 0.0, []
-    groups, _ = parse(sentence)
+    groups, typed = parse(sentence)
     for group in groups:
         timeline = _Timeline()
         for action in group:
@@ -68,7 +68,7 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
         frames += rows
         if len(frames) > MOST_FRAMES:
             raise SourceError(f"the sentence makes more than {MOST_FRAMES} key frames; say less, or fewer times")
-    return KeyFrames(frames=tuple(frames), sentence=sentence, planner="grammar")
+    return KeyFrames(frames=tuple(frames), sentence=sentence, planner="grammar", typed=tuple(typed.items()))
 
 
 def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:

@@ -39,6 +39,7 @@ POSTURES = {  # for each verb the posture that a direction means
     "LOWER": {"": "down", "down": "down"},
     "OPEN": {"": "open", **_OUT, **dict.fromkeys(("up", "out up", "side up"), "high and open")},
     "CLOSE": {"": "down"},
+    "HIGH_FIVE": {"": "up"},
     "EXTEND": {"": "forward", **_EACH_WAY},
     **dict.fromkeys(("STRETCH", "PLACE"), _EACH_WAY),
 }
@@ -286,7 +287,7 @@ def _note_word(now: Clause, token: Token) -> None:
         now.last = ""
     elif token.type == "BACK_UP":
         now.kind, now.ways = "WALK", now.ways | {"back"}
-    elif token.type in VERBS or token.type in ("TURN_AROUND", "GUARD", "ONE_TWO", "SWITCH", "REPEAT", "REPEAT_ALL"):
+    elif token.type in VERBS or token.type in ("TURN_AROUND", "GUARD", "HIGH_FIVE", "ONE_TWO", "SWITCH", "REPEAT", "REPEAT_ALL"):
         now.kind = now.kind if now.kind == "STEP" or token.type == "GUARD" and now.kind == "LOWER" else token.type
     else:
         if token.type in ("HAND", "LEFT", "RIGHT"):
@@ -343,8 +344,9 @@ class _Reader:
                 groups += self._again(first, [*self.groups, *groups])
                 continue
             before = (groups or [[self.before]] if self.before else groups)[-1:]
+            goes_on = enumerated or not first.kind
             new = self._item(item)
-            if before and (enumerated or not first.kind):
+            if before and goes_on:
                 self._scope(before[0], last, at_once=False)
             groups += new
         return groups
@@ -453,6 +455,9 @@ class _Reader:
     def _switch(self, now: Clause | None) -> Groups:
         """Return what a "switch" before this clause asks for: the same with the other hand, or only that hand next."""
         pending, self.switched = self.switched, now is not None and now.kind == "SWITCH"
+        lasts = self.before is not None and self.before.verb in ("walk", *GESTURES) and not self.before.amounts
+        if now is not None and now.rule == "still" and now.text.startswith("after"):
+            now.refuse(lasts, "does not say for how long it goes on before; say it, then what comes next")
         if self.switched and now is not None:
             one = self.before is not None and not self.before.moves_base and len(self.hands) == 1
             now.refuse(not one, "does not say from which hand; say with which hand to go on")
@@ -570,8 +575,8 @@ class _Reader:
         if now.kind == "TURN_AROUND":
             amounts.setdefault("degrees", 180.0)
         elif now.kind == "SPIN" or "times" in amounts:
+            now.refuse(now.kind == "TURN" and now.last == "times", f"has {amounts.get('times', 0):g} times; say degrees")
             now.refuse("times" in amounts and "degrees" in amounts, "says how far in two ways; say degrees")
-            now.refuse("times" in amounts and now.kind == "TURN" and not now.ways and now.last != "times", "")
             amounts.setdefault("degrees", 360.0 * amounts.pop("times", 1.0))
         degrees = amounts.get("degrees")
         if now.ways == {"back"} and len(turns) == 1 and not sides and not degrees:
@@ -638,7 +643,7 @@ class _Reader:
             return self._named(now, named[0])
         if now.kind in BOXED:
             return (BOXED[now.kind][1],)
-        unclear = now.kind not in ("WAVE", "PUNCH") and not (self.hands and now.kind in ("LOWER", "CLOSE"))
+        unclear = now.kind not in ("WAVE", "PUNCH", "HIGH_FIVE") and not (self.hands and now.kind in ("LOWER", "CLOSE"))
         now.refuse(unclear, "does not say which hand; say left hand, right hand or both hands")
         return self.hands or ("right",)
 

@@ -24,6 +24,7 @@ _REWRITTEN = (  # phrases that mean others
     (r"\b(half|quarter)( of)? an? ", r"\1 "),
     (r"\ban?(other)? (?=(second|minute|met(re|er)|foot)\b)", "1 "),
     (r"\b(every|per) (?=second\b)", r"\1 1 "),
+    (r"\b(jab|cross|hook|uppercut|punch|spin|wave|step)s? (?=((left|right) )?(jab|cross|hook|uppercut)s?\b|\1\b)", r"\1, "),
     (r"\b(two|three|four|five|six|seven|eight|nine|ten|\d+) each\b", r"\1 times each"),
 )
 
