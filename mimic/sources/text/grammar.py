@@ -103,9 +103,10 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
     if action.verb == "place":
         return _place(action, timeline, hands, reach)
     said = action.amounts
-    start, cycle = [(name, seconds / action.speed) for name, seconds in STARTS.get(action.verb, [])], [
-        (name, seconds / action.speed) for name, seconds in CYCLES[action.verb]
-    ]
+    start = [(name, seconds / action.speed) for name, seconds in STARTS.get(action.verb, [])]
+    cycle = [(name, seconds / action.speed) for name, seconds in CYCLES[action.verb]]
+    if all(np.allclose(hands[side], _own("guard", side, reach)) for side in action.sides):
+        start = []
     first, each = (sum(seconds for _, seconds in part) for part in (start, cycle))
     times = int(said.get("times", 2.0 if action.verb == "wave" else 1.0))
     if "seconds" in said and "times" not in said:
@@ -142,7 +143,9 @@ def _place(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], re
     moving = seconds if seconds is not None and not action.stays else MOVE_SECONDS / action.speed
     for side in action.sides:
         q = _own(action.way, side, reach)
-        there = seconds is not None and action.stays and np.allclose(q, hands[side])  # "raise it and keep it up for 2 s"
+        there = (
+            seconds is not None and action.stays and np.allclose(q, hands[side])
+        )  # "raise it and keep it up for 2 s"
         timeline.hands[side] = [] if there else [(moving, q)]
         if seconds is not None and action.stays:
             timeline.hands[side].append((seconds, q))

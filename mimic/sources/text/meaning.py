@@ -7,7 +7,7 @@ word is used or the sentence is refused.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import re
 from dataclasses import dataclass, field, replace
 from math import prod
 from typing import Any
@@ -45,11 +45,25 @@ POSTURES = {  # for each verb the posture that a direction means
 }
 BASE = ("step", "walk", "turn", "wait")  # verbs of the base; all others move hands
 GESTURES = ("wave", "punch", "hook", "uppercut", "cycle")
-BOXED = {"JAB": ("punch", "left"), "CROSS": ("punch", "right"), "HOOK": ("hook", "left"), "UPPERCUT": ("uppercut", "right")}
+BOXED = {
+    "JAB": ("punch", "left"),
+    "CROSS": ("punch", "right"),
+    "HOOK": ("hook", "left"),
+    "UPPERCUT": ("uppercut", "right"),
+}
+WAYS_ONLY = {(False, False, True)}  # clauses without a verb that go on with a verb before, by hand, side and way
+HANDS_ONLY = {(True, False, False), (False, True, False), (True, True, False)}
 MOST_READINGS = 64  # of one sentence
 ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
 LITTLE = {"turn": ("degrees", 30.0), "walk": ("metres", 0.25), "step": ("metres", 0.15)}
-FURTHER = {"far": "metres", "distance": "metres", "long": "seconds", "time": "seconds", "often": "times", "times": "times"}
+FURTHER = {
+    "far": "metres",
+    "distance": "metres",
+    "long": "seconds",
+    "time": "seconds",
+    "often": "times",
+    "times": "times",
+}
 IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT", "ONE_TWO"}
 BOTH = ("left", "right")
 OPPOSITE = {"left": "right", "right": "left"}
@@ -101,6 +115,11 @@ class Clause:
         own = self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING", "RELATIVE", "SAME", "MORE"}
         return not (self.kind or self.ways or own or "bare" in self.amounts or self.rule != "more")
 
+    @property
+    def repeats(self) -> bool:
+        """Whether it says what was said before once more."""
+        return self.rule == "repeat" or (self.rule == "more" and self.words.keys() in ({"AGAIN"}, {"MORE"}))
+
     def has(self, *kinds: str) -> bool:
         """Return whether it has words of some terminals."""
         return not self.words.keys().isdisjoint(kinds)
@@ -147,10 +166,12 @@ def parse(sentence: str) -> tuple[Groups, dict[str, str]]:
     if not text:
         raise SourceError(f"the sentence has no verb; say what to do with {VERBS_SAID}")
     try:
-        tree: Any = grammar().parse(text)
+        return _only_meaning(grammar().parse(text), text), typed
     except UnexpectedInput as error:
-        raise SourceError(_misfit(error, text)) from None
-    return _only_meaning(tree, text), typed
+        message = _misfit(error, text)
+    except SourceError as error:
+        message = str(error)
+    raise SourceError(re.sub(r"\bing ", "", message))
 
 
 def _only_meaning(tree: Tree, text: str) -> Groups:
@@ -190,12 +211,10 @@ def _misfit(error: UnexpectedInput, text: str) -> str:
     if not token:
         return f"'{text}' lacks something behind {text.split()[-1]!r}: a verb such as {VERBS_SAID}, a time, or a unit"
     words = text[: token.start_pos].split()
-    said = [words.pop()] if words and grammar().get_terminal("NUMBER").pattern.to_regexp() and _is_number(words[-1]) else []
+    said = [words.pop()] if words and _is_number(words[-1]) else []
+    said += text[token.start_pos :].split()[:2] if token == "ing" else [token.strip()]
     where = f"behind '{' '.join(words)}'" if words else "at the beginning"
-    return (
-        f"'{' '.join([*said, token.strip()])}' {where} is not something the phrasebook understands; "
-        "say it in parts, joined by 'then'"
-    )
+    return f"'{' '.join(said)}' {where} is not something the phrasebook understands; say it in parts, joined by 'then'"
 
 
 def _is_number(word: str) -> bool:
@@ -279,7 +298,7 @@ def _note_amount(now: Clause, said: _Amount) -> None:
 
 
 def _note_word(now: Clause, token: Token) -> None:
-    if token.type in WAYS and now.rule not in ("turn", "still") or token.type in ("AROUND", "BACK"):
+    if (token.type in WAYS and now.rule not in ("turn", "still")) or token.type in ("AROUND", "BACK"):
         if token.type == "OPEN" and now.rule == "place":
             now.kind = "OPEN"
         else:
@@ -287,8 +306,16 @@ def _note_word(now: Clause, token: Token) -> None:
         now.last = ""
     elif token.type == "BACK_UP":
         now.kind, now.ways = "WALK", now.ways | {"back"}
-    elif token.type in VERBS or token.type in ("TURN_AROUND", "GUARD", "HIGH_FIVE", "ONE_TWO", "SWITCH", "REPEAT", "REPEAT_ALL"):
-        now.kind = now.kind if now.kind == "STEP" or token.type == "GUARD" and now.kind == "LOWER" else token.type
+    elif token.type in VERBS or token.type in (
+        "TURN_AROUND",
+        "GUARD",
+        "HIGH_FIVE",
+        "ONE_TWO",
+        "SWITCH",
+        "REPEAT",
+        "REPEAT_ALL",
+    ):
+        now.kind = now.kind if now.kind == "STEP" or (token.type == "GUARD" and now.kind == "LOWER") else token.type
     else:
         if token.type in ("HAND", "LEFT", "RIGHT"):
             now.last = ""
@@ -316,7 +343,9 @@ class _Reader:
             found = [self._list(c) if c.data == "list" else self._joined(_clauses(c)) for c in part.children]
             if part.data == "swapped":
                 if len(found[0]) > 1:
-                    raise SourceError("'after', 'before' or 'first' comes behind more than one action; say them in order")
+                    raise SourceError(
+                        "'after', 'before' or 'first' comes behind more than one action; say them in order"
+                    )
                 found = found[::-1]
             elif part.data == "around":
                 found = [*found, found[0]]
@@ -340,7 +369,7 @@ class _Reader:
         groups: Groups = []
         for item in items:
             first, last = item.clauses[0], item.clauses[-1]
-            if first.rule == "repeat":
+            if first.repeats:
                 groups += self._again(first, [*self.groups, *groups])
                 continue
             before = (groups or [[self.before]] if self.before else groups)[-1:]
@@ -374,7 +403,7 @@ class _Reader:
                 units.append([clause])
         groups: Groups = []
         for unit in units:
-            if unit[0].rule == "repeat":
+            if unit[0].repeats:
                 return [*groups, *self._again(unit[0], [*self.groups, *groups])]
             new = self._unit(unit)
             at_once = any(clause.has("TOGETHER") for clause in unit)
@@ -425,8 +454,6 @@ class _Reader:
 
     def _clause(self, now: Clause, several: bool) -> Groups:
         """Return the groups of one clause."""
-        if now.rule == "more" and now.words.keys() in ({"AGAIN"}, {"MORE"}):
-            return self._once_more(now)
         action = self._action(now)
         groups = _in_turn(now, action) if _is_in_turn(now, action) else _with_pauses(now, action, several)
         for pose in now.along:
@@ -439,18 +466,17 @@ class _Reader:
         """Return all groups once more, or as often as is said."""
         now.refuse(not groups, "has nothing to repeat")
         times, more = now.amounts.get("times", 1.0), now.has("MORE")
-        now.refuse(now.kind == "REPEAT" and len(groups) > 1, "can mean all or the last thing; say repeat everything")
+        unclear = len(groups) > 1 and now.kind != "REPEAT_ALL" and not now.has("TOTAL")
+        now.refuse(unclear, "can mean all or the last thing; say repeat everything")
         unclear = times > 1 and not more and not now.has("TOTAL")
         now.refuse(unclear, f"can mean {times:g} or {times + 1:g} times in all; say {times:g} times in total")
         for side in BOTH:
-            ways = [action.way for group in groups for action in group if side in action.sides and not action.moves_base]
+            ways = [
+                action.way for group in groups for action in group if side in action.sides and not action.moves_base
+            ]
             if ways and ways[0] and ways[0] == ways[-1]:
                 raise now.error(f"finds the {side} hand {ways[0]} already; say what it does before")
         return groups * int(times - 1 if now.has("TOTAL") else times)
-
-    def _once_more(self, now: Clause) -> Groups:
-        now.refuse(len(self.groups) != 1, "can mean all or the last thing; say repeat everything, or what to do again")
-        return self._again(replace(now, kind="REPEAT"), self.groups)
 
     def _switch(self, now: Clause | None) -> Groups:
         """Return what a "switch" before this clause asks for: the same with the other hand, or only that hand next."""
@@ -502,37 +528,30 @@ class _Reader:
     def _inherit(self, now: Clause) -> None:
         """Find the verb of a clause without one: "left hand up", "then the right", "and half of that back"."""
         before, said = self.before, self.said
-        hand, side = now.has("HAND"), now.has("LEFT", "RIGHT")
-        if (hand or side) and now.ways and (hand or before is None or not before.moves_base):
-            now.kind = "PLACE"
+        if now.ways and (now.has("HAND") or (now.has("LEFT", "RIGHT") and not (before and before.moves_base))):
+            now.kind = "PUT"
             return
         if before is None or said is None:
             raise now.error(f"has no verb; begin with {VERBS_SAID}")
-        if before.verb == "place" and now.ways and not (hand or side):
-            now.kind, now.words["HAND"] = "PLACE", ["them"]
+        if before.verb == "place" and now.ways and not now.has("HAND", "LEFT", "RIGHT"):
+            now.kind, now.words["HAND"] = "PUT", ["them"]
             return
         counts = "times" in before.amounts and "bare" in now.amounts
-        if before.moves_base:
-            goes_on = before.verb in ("walk", "step") and not side and (counts or bool(now.ways))
-            fits = not hand and (goes_on or (before.verb == "turn" and side and not now.ways))
-        else:
-            fits = (side or hand) and not now.ways
-        now.refuse(not fits, f"has no verb; begin with {VERBS_SAID}")
+        goes_on = {"walk": WAYS_ONLY, "step": WAYS_ONLY, "turn": {(False, True, False)}}.get(before.verb, HANDS_ONLY)
+        given = (now.has("HAND"), now.has("LEFT", "RIGHT"), bool(now.ways) or (counts and before.moves_base))
+        now.refuse(given not in goes_on, f"has no verb; begin with {VERBS_SAID}")
+        now.refuse(
+            before.verb == "wave" and not (now.has("HAND") or said.has("HAND")), "can mean two things; say which hand"
+        )
         if counts:
             now.amount("times", now.amounts.pop("bare"))
         if now.has("SAME"):
-            now.amounts = {**before.amounts, **now.amounts}
+            now.amounts = before.amounts | now.amounts
         unsaid = before.amounts and not (now.amounts or now.has("RELATIVE"))
         now.refuse(unsaid, "does not say how far, how long or how often; say it for each")
-        if before.verb == "wave" and not (hand or said.has("HAND")):
-            raise now.error("can mean two things; say with which hand, or with both hands")
         now.kind = said.kind
-        for kind in ("LEFT", "RIGHT") if not before.moves_base else ():
-            if kind in now.words:
-                now.words["HAND"] = [f"{kind.lower()} hand", *now.words.get("HAND", [])]
-                del now.words[kind]
-        if not now.has(*PACES):
-            now.words |= {kind: words for kind, words in said.words.items() if kind in PACES}
+        kept = set() if now.has(*PACES) else PACES.keys() & said.words.keys()
+        now.words |= {kind: said.words[kind] for kind in kept}
         if counts or not before.moves_base:
             now.ways = now.ways or set(said.ways)
 
@@ -575,7 +594,9 @@ class _Reader:
         if now.kind == "TURN_AROUND":
             amounts.setdefault("degrees", 180.0)
         elif now.kind == "SPIN" or "times" in amounts:
-            now.refuse(now.kind == "TURN" and now.last == "times", f"has {amounts.get('times', 0):g} times; say degrees")
+            now.refuse(
+                now.kind == "TURN" and now.last == "times", f"has {amounts.get('times', 0):g} times; say degrees"
+            )
             now.refuse("times" in amounts and "degrees" in amounts, "says how far in two ways; say degrees")
             amounts.setdefault("degrees", 360.0 * amounts.pop("times", 1.0))
         degrees = amounts.get("degrees")
@@ -674,7 +695,9 @@ class _Item:
         parts = tree.children[::-1] if self.leads else tree.children
         self.clauses = _clauses(parts[0])
         self.during = _clauses(parts[1]) if len(parts) > 1 else []
-        self.clear = len(parts) > 1 and getattr(parts[1], "data", "") == "doing"  # whether it must be clear with what it goes
+        self.clear = (
+            len(parts) > 1 and getattr(parts[1], "data", "") == "doing"
+        )  # whether it must be clear with what it goes
         self.rounds = 1
 
     def add(self, more: _Item) -> None:
@@ -706,35 +729,45 @@ def _takes(action: Action) -> tuple[str, ...]:
     """Return the amounts that an action takes."""
     if action.verb in GESTURES:
         return ("times", "seconds")
-    moves = {"step": ("times", "seconds", "metres", "mps"), "walk": ("seconds", "metres", "mps"), "turn": ("degrees", "seconds")}
+    moves = {
+        "step": ("times", "seconds", "metres", "mps"),
+        "walk": ("seconds", "metres", "mps"),
+        "turn": ("degrees", "seconds"),
+    }
     return moves.get(action.verb, ("seconds",))
 
 
 def _share(unit: list[Clause]) -> tuple[int, str]:
     """Give what is said behind the last of several clauses to all; return how often all is done, and what is shared."""
     last, others = unit[-1], unit[:-1]
-    name, each = last.last, last.has("EACH")
+    paced = [clause for clause in unit if clause.has(*PACES)]
+    for clause in unit if len(paced) == 1 else ():
+        clause.words |= {kind: words for kind, words in paced[0].words.items() if kind in PACES}
     last.refuse(any(clause.pause for clause in others), "comes behind a pause between parts; put the pause last")
-    either = others and any(clause.has("ALTERNATE") for clause in unit) and "times" in last.amounts and not each
-    last.refuse(either, "can count single moves or pairs; say how many for each hand")
-    rounds, moves = 1, unit[0].kind in ("STEP", "WALK", "MOVE", "TURN")
-    if others and moves and "times" in last.amounts and not (each and name == "times"):
-        lacks = all("times" not in clause.amounts for clause in others)
-        last.refuse(not lacks and name != "times", "says times for a part of what is joined; say it for each")
-        if lacks:
-            rounds, name = int(last.amounts.pop("times")), "" if name == "times" else name
+    if not others:
+        return 1, ""
+    if last.has("HAND") and not any(clause.ways for clause in others):
+        for clause in others:
+            clause.ways |= last.ways
+    rounds, name = _rounds(unit)
     lacking = [clause for clause in others if name and name not in clause.amounts]
     partly = lacking and (len(lacking) < len(others) or any(clause.amounts for clause in lacking))
     last.refuse(partly, f"says {name} for a part of what is joined; say it for each")
     for clause in lacking:
         clause.amounts, clause.stays = dict(last.amounts), last.stays
-    if others and last.has("HAND") and not any(clause.ways for clause in others):
-        for clause in others:
-            clause.ways |= last.ways
-    paced = [clause for clause in unit if clause.has(*PACES)]
-    for clause in unit if len(paced) == 1 else ():
-        clause.words |= {kind: words for kind, words in paced[0].words.items() if kind in PACES}
     return rounds, name if lacking else ""
+
+
+def _rounds(unit: list[Clause]) -> tuple[int, str]:
+    """Return how often clauses of the base are done, all in turn, and the amount behind the last that is left."""
+    last, others = unit[-1], unit[:-1]
+    name, each = last.last, last.has("EACH")
+    either = any(clause.has("ALTERNATE") for clause in unit) and "times" in last.amounts and not each
+    last.refuse(either, "can count single moves or pairs; say how many for each hand")
+    moves = unit[0].kind in ("STEP", "WALK", "MOVE", "TURN") and not any("times" in clause.amounts for clause in others)
+    if not moves or "times" not in last.amounts or (each and name == "times"):
+        return 1, name
+    return int(last.amounts.pop("times")), "" if name == "times" else name
 
 
 def _is_in_turn(now: Clause, action: Action) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -24,7 +23,10 @@ _REWRITTEN = (  # phrases that mean others
     (r"\b(half|quarter)( of)? an? ", r"\1 "),
     (r"\ban?(other)? (?=(second|minute|met(re|er)|foot)\b)", "1 "),
     (r"\b(every|per) (?=second\b)", r"\1 1 "),
-    (r"\b(jab|cross|hook|uppercut|punch|spin|wave|step)s? (?=((left|right) )?(jab|cross|hook|uppercut)s?\b|\1\b)", r"\1, "),
+    (
+        r"\b(jab|cross|hook|uppercut|punch|spin|wave|step)s? (?=((left|right) )?(jab|cross|hook|uppercut)s?\b|\1\b)",
+        r"\1, ",
+    ),
     (r"\b(two|three|four|five|six|seven|eight|nine|ten|\d+) each\b", r"\1 times each"),
 )
 
@@ -47,7 +49,7 @@ def vocabulary(kinds: set[str] | None = None) -> set[str]:
     terminals = [terminal for terminal in grammar().terminals if kinds is None or terminal.name in kinds]
     text = " ".join(terminal.pattern.to_regexp() for terminal in terminals)
     text = re.sub(r"\(\?<?[=!](?:[^()]|\([^()]*\))*\)|\\\w", " ", text)
-    found = re.findall(r"\b([a-z]+?)(s\?)?(?![a-z])", text)
+    found = re.findall(r"\b([a-z]+?)(s\?)?(?![a-z'])", text)
     return {word + ending for word, plural in found for ending in ("", "s" * bool(plural)) if len(word + ending) > 1}
 
 
@@ -101,7 +103,7 @@ def prepared(sentence: str) -> tuple[str, dict[str, str]]:
     text = re.sub(rf"\band after (?=(?:{'|'.join(set(gerunds.values()))})\b)", "then ", text)
     if found := re.search(r"\bstop ing (?!move)\w+", text):
         raise SourceError(f"'{found[0].replace(' ing', '')}': nothing goes on that could stop; say what to do instead")
-    return re.sub(r"^[\s,;.!?]+(ing )?|^ing |(?<=[,;.!?])\s*,|\s+$", "", " ".join(text.split())), {
+    return re.sub(r"^[\s,;.!?]+(ing )?|^ing |(?<=[,;.!?])\s*,|[\s,]+$", "", " ".join(text.split())), {
         word: meant for word, meant in read.items() if word != meant
     }
 
