@@ -18,7 +18,9 @@ from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import FRONT, Reach
 from mimic.sources.text.meaning import Action, parse
 
-STEP_LENGTH, WALK_SPEED = 0.25, 0.25  # length of a step [m]; default walking speed [m/s]
+STEP_LENGTH = 0.25  # [m]
+WALK_SPEED = {"forward": 0.25, "back": 0.2}  # unless another is said [m/s]
+START_SECONDS = 0.5  # what a walk takes more than its distance at that speed, to get going [s]
 WALK_SECONDS, STOP_SECONDS, HOLD_SECONDS = 3.0, 0.5, 1.0  # default durations [s]
 MOVE_SECONDS, PUNCH_SECONDS = 0.8, 0.35  # from one arm posture to the next; a punch out, and its way back [s]
 TURN_RATE, FASTEST_TURN = math.radians(30), 1.1  # default turning rate [rad/s]; largest factor on it
@@ -85,11 +87,11 @@ def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray],
         return f"turn {action.sides[0]} {degrees:g}° in {seconds:.3g} s"
     most = float(reach.description.commands.velocity[0])
     metres = STEP_LENGTH * said["times"] if "times" in said else said.get("metres")
-    speed = said.get("mps", min(most, WALK_SPEED * action.speed))
+    speed = said.get("mps", min(most, WALK_SPEED[action.way] * action.speed))
     if metres is None and action.verb == "step" and "seconds" not in said:
         metres = STEP_LENGTH
-    if metres is not None and "seconds" in said:
-        speed = metres / said["seconds"]
+    if metres is not None and "mps" not in said:
+        speed = metres / said.get("seconds", metres / speed + START_SECONDS)
     if not 0.0 < speed <= most + 1e-9:
         raise SourceError(f"{speed:.3g} m/s is not a speed of this robot; it walks with up to {most:g} m/s")
     seconds = metres / speed if metres is not None else said.get("seconds", WALK_SECONDS)
