@@ -66,24 +66,14 @@ def play(
     """
     if plan:
         return _show_plan(text, o.input_settings(language=language), model)
-    if sim == (robot is not None):
-        raise ConfigError(
-            "add --sim for the simulated robot, or --robot can0 for a real one on that bus"
-            if robot is None
-            else "--sim and --robot are two robots; give one of them"
-        )
-    if sim and (asked := _options(bus)):
-        raise ConfigError(f"{asked}: for a real robot only; give --robot instead of --sim, or leave it out")
-    if robot is not None and (asked := _options(model)):
-        raise ConfigError(f"{asked}: for the simulated robot only; give --sim instead of --robot, or leave it out")
+    _check_robot(sim, robot, bus, model)
     if sum(given is not None for given in (source, text, camera)) > 1:
         raise ConfigError("a file, --text and --camera are different inputs; give one of them")
-    if video is not None and (robot is not None or camera is not None):
-        raise ConfigError(
-            f"--video films a simulated run of a file; leave it out with {'--robot' if robot else '--camera'}"
-        )
     if camera is not None:
         _check_camera_options(retarget, pose)
+    live_one = "--robot" if robot is not None else "--camera" if camera is not None else ""
+    if video is not None and live_one:
+        raise ConfigError(f"--video films a simulated run of a file; leave it out with {live_one}")
 
     settings = o.input_settings(pose=pose, stored=stored, retarget=retarget, language=language)
     if robot is not None:
@@ -111,6 +101,22 @@ def play(
     played: Path | str = source if text is None else text  # type: ignore[assignment]
     saved = play_source(played, settings, run=run, effects=model, out=out, film=video, reporter=ConsoleReporter())
     return show_simulated(saved, played.name if isinstance(played, Path) else played, view)
+
+
+def _check_robot(sim: bool, robot: str | None, bus: o.Bus, model: o.Effects) -> None:
+    """Raise a ConfigError unless one robot is named, with its own options alone."""
+    if sim == (robot is not None):
+        raise ConfigError(
+            "add --sim for the simulated robot, or --robot can0 for a real one on that bus"
+            if robot is None
+            else "--sim and --robot are two robots; give one of them"
+        )
+    asked = _options(bus) if sim else ""
+    if asked:
+        raise ConfigError(f"{asked}: for a real robot only; give --robot instead of --sim, or leave it out")
+    asked = _options(model) if robot is not None else ""
+    if asked:
+        raise ConfigError(f"{asked}: for the simulated robot only; give --sim instead of --robot, or leave it out")
 
 
 def _show_plan(sentence: str | None, settings: InputSettings, model: o.Effects) -> int:

@@ -12,7 +12,10 @@ from mimic.errors import ConfigError
 from mimic.records import CommandTrack
 
 FIELDS = ("asked", "walked", "lost")
-"""Speed that is asked for and that it walks with [m/s], in rising order; time that it loses to get going [s]."""
+"""Speed that is asked for and that it walks with [m/s], in rising order; time that it loses to get going [s].
+
+``reversed`` has the time that it loses [s] where it walked forward before it walks back, and the other way round.
+"""
 
 
 def corrected(commands: CommandTrack, policy: Path) -> CommandTrack:
@@ -35,10 +38,13 @@ def corrected(commands: CommandTrack, policy: Path) -> CommandTrack:
     v = commands.v.copy()
     dt = float(commands.t[1] - commands.t[0]) if len(commands.t) > 1 else 0.0
     edges = np.flatnonzero(np.diff(v[:, 0], prepend=np.nan, append=np.nan))
+    before = 0.0
     for start, end in zip(edges[:-1], edges[1:], strict=True):
         wanted, seconds = v[start, 0], dt * (end - start)
-        if wanted == 0.0:
-            continue
-        ready = max(seconds - float(np.interp(wanted, walked, lost)), 0.5 * seconds)
-        v[start:end, 0] = np.interp(wanted * seconds / ready, walked, asked)
+        loses = float(np.interp(wanted, walked, lost))
+        if before * wanted < 0.0:
+            loses = float(table.get("reversed", (loses, loses))[int(wanted > 0.0)])
+        if wanted != 0.0:
+            v[start:end, 0] = np.interp(wanted * seconds / max(seconds - loses, 0.5 * seconds), walked, asked)
+        before = wanted
     return replace(commands, v=v)

@@ -20,7 +20,7 @@ from mimic.sources.text.meaning import Action, parse
 
 STEP_LENGTH = 0.25  # [m]
 WALK_SPEED = {"forward": 0.25, "back": 0.2}  # unless another is said [m/s]
-START_SECONDS = 0.5  # what a walk takes more than its distance at that speed, to get going [s]
+START_SECONDS, REVERSE_SECONDS = 0.75, 1.5  # what a walk takes beside its distance: to get going, to turn back [s]
 WALK_SECONDS, STOP_SECONDS, HOLD_SECONDS = 3.0, 0.5, 1.0  # default durations [s]
 MOVE_SECONDS, PUNCH_SECONDS = 0.8, 0.35  # from one arm posture to the next; a punch out, and its way back [s]
 TURN_RATE, FASTEST_TURN = math.radians(30), 1.1  # default turning rate [rad/s]; largest factor on it
@@ -45,6 +45,7 @@ class _Timeline:
 
     base: list[tuple[float, float, float]] = field(default_factory=list)  # duration [s], velocity [m/s], turn [rad]
     hands: dict[str, list[tuple[float, FloatArray]]] = field(default_factory=dict)  # duration [s], joints (3,) [rad]
+    before: float = 0.0  # velocity when it begins [m/s]
     open_end: bool = False  # whether the base goes on for as long as the hands need
     understood: list[str] = field(default_factory=list)
 
@@ -60,7 +61,7 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
     heading, frames = 0.0, []
     groups, typed = parse(sentence)
     for group in groups:
-        timeline = _Timeline()
+        timeline = _Timeline(before=frames[-1].velocity[0] if frames else 0.0)
         for action in group:
             add = _add_base if action.moves_base else _add_hands
             timeline.understood.append(add(action, timeline, hands, reach))
@@ -90,13 +91,15 @@ def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray],
     speed = said.get("mps", min(most, WALK_SPEED[action.way] * action.speed))
     if metres is None and action.verb == "step" and "seconds" not in said:
         metres = STEP_LENGTH
+    sign = -1.0 if action.way == "back" else 1.0
     if metres is not None and "mps" not in said:
-        speed = metres / said.get("seconds", metres / speed + START_SECONDS)
+        start = REVERSE_SECONDS if sign * timeline.before < 0.0 else START_SECONDS
+        speed = metres / said.get("seconds", metres / speed + start)
     if not 0.0 < speed <= most + 1e-9:
         raise SourceError(f"{speed:.3g} m/s is not a speed of this robot; it walks with up to {most:g} m/s")
     seconds = metres / speed if metres is not None else said.get("seconds", WALK_SECONDS)
     timeline.open_end = action.verb == "walk" and metres is None and "seconds" not in said
-    timeline.base.append((seconds, speed * (-1.0 if action.way == "back" else 1.0), 0.0))
+    timeline.base.append((seconds, sign * speed, 0.0))
     count = f" {said['times']:g} times," if said.get("times", 1.0) > 1 else ""
     return f"{action.verb} {action.way}{count} {speed * seconds:.3g} m in {seconds:.3g} s"
 
@@ -107,7 +110,7 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
     said = action.amounts
     start = [(name, seconds / action.speed) for name, seconds in STARTS.get(action.verb, [])]
     cycle = [(name, seconds / action.speed) for name, seconds in CYCLES[action.verb]]
-    if all(np.allclose(hands[side], _own("guard", side, reach)) for side in action.sides):
+    if _in_guard(action, hands, reach):
         start = []
     first, each = (sum(seconds for _, seconds in part) for part in (start, cycle))
     times = int(said.get("times", 2.0 if action.verb == "wave" else 1.0))
@@ -130,8 +133,12 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
 Rows = list[tuple[str, float]]
 
 
+def _in_guard(action: Action, hands: dict[str, FloatArray], reach: Reach) -> bool:
+    return all(np.allclose(hands[side], _own("guard", side, reach)) for side in action.sides)
+
+
 def _every(period: float, start: Rows, cycle: Rows, times: int) -> Rows:
-    """Return a gesture at regular times: what is left of a period waits at its end, the first one has the start, too."""
+    """Return a gesture at regular times: what is left of a period waits at its end, the first has the start."""
     rows: Rows = []
     for part in [start + cycle] + [cycle] * (times - 1):
         needed = sum(seconds for _, seconds in part)

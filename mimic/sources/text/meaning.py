@@ -536,13 +536,16 @@ class _Reader:
         if before.verb == "place" and now.ways and not now.has("HAND", "LEFT", "RIGHT"):
             now.kind, now.words["HAND"] = "PUT", ["them"]
             return
+        self._go_on(now, before, said)
+
+    def _go_on(self, now: Clause, before: Action, said: Clause) -> None:
+        """Give a clause without a verb the verb of the clause before, and what else it does not say."""
         counts = "times" in before.amounts and "bare" in now.amounts
         goes_on = {"walk": WAYS_ONLY, "step": WAYS_ONLY, "turn": {(False, True, False)}}.get(before.verb, HANDS_ONLY)
         given = (now.has("HAND"), now.has("LEFT", "RIGHT"), bool(now.ways) or (counts and before.moves_base))
         now.refuse(given not in goes_on, f"has no verb; begin with {VERBS_SAID}")
-        now.refuse(
-            before.verb == "wave" and not (now.has("HAND") or said.has("HAND")), "can mean two things; say which hand"
-        )
+        unclear = before.verb == "wave" and not (now.has("HAND") or said.has("HAND"))
+        now.refuse(unclear, "can mean two things; say with which hand, or with both hands")
         if counts:
             now.amount("times", now.amounts.pop("bare"))
         if now.has("SAME"):
@@ -740,15 +743,10 @@ def _takes(action: Action) -> tuple[str, ...]:
 def _share(unit: list[Clause]) -> tuple[int, str]:
     """Give what is said behind the last of several clauses to all; return how often all is done, and what is shared."""
     last, others = unit[-1], unit[:-1]
-    paced = [clause for clause in unit if clause.has(*PACES)]
-    for clause in unit if len(paced) == 1 else ():
-        clause.words |= {kind: words for kind, words in paced[0].words.items() if kind in PACES}
     last.refuse(any(clause.pause for clause in others), "comes behind a pause between parts; put the pause last")
     if not others:
         return 1, ""
-    if last.has("HAND") and not any(clause.ways for clause in others):
-        for clause in others:
-            clause.ways |= last.ways
+    _share_words(unit)
     rounds, name = _rounds(unit)
     lacking = [clause for clause in others if name and name not in clause.amounts]
     partly = lacking and (len(lacking) < len(others) or any(clause.amounts for clause in lacking))
@@ -756,6 +754,17 @@ def _share(unit: list[Clause]) -> tuple[int, str]:
     for clause in lacking:
         clause.amounts, clause.stays = dict(last.amounts), last.stays
     return rounds, name if lacking else ""
+
+
+def _share_words(unit: list[Clause]) -> None:
+    """Give the one pace of clauses to all, and the way behind the last hand to the hands before."""
+    last, others = unit[-1], unit[:-1]
+    paced = [clause for clause in unit if clause.has(*PACES)]
+    for clause in unit if len(paced) == 1 else ():
+        clause.words |= {kind: words for kind, words in paced[0].words.items() if kind in PACES}
+    if last.has("HAND") and not any(clause.ways for clause in others):
+        for clause in others:
+            clause.ways |= last.ways
 
 
 def _rounds(unit: list[Clause]) -> tuple[int, str]:
