@@ -16,6 +16,7 @@ from mimic.io.keyframes import MOST_FRAMES, KeyFrame, KeyFrames
 from mimic.records import SIDES, FloatArray
 from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import FRONT, Reach
+from mimic.sources.text.feasibility import MIN_DURATION
 from mimic.sources.text.meaning import Action, parse
 
 STEP_LENGTH = 0.25  # [m]
@@ -177,7 +178,10 @@ def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -
     base = list(timeline.base)
     moving = max((sum(duration for duration, _ in moves) for moves in timeline.hands.values()), default=0.0)
     lacking = moving - sum(part[0] for part in base)
-    if lacking > 1e-9:
+    if base and timeline.hands and 0.0 < abs(lacking) < MIN_DURATION:  # both end together, as far as before
+        seconds, forward, turn = base[-1]
+        base[-1] = (seconds + lacking, forward * seconds / (seconds + lacking), turn)
+    elif lacking > 1e-9:
         forward = base[-1][1] if base and timeline.open_end else 0.0
         base.append((lacking, forward, 0.0))
     ends = np.cumsum([part[0] for part in base])

@@ -48,10 +48,13 @@ def test_the_paper_s_sentence_steps_stops_and_waves_the_left_hand(plan, reach):
 @pytest.mark.parametrize(
     ("sentence", "seconds"),
     [
-        ("step forward", 1.0),
-        ("take two steps back", 2.0),
-        ("step forward 3 times", 3.0),
+        ("step forward", 1.75),
+        ("take two steps back", 3.25),
+        ("step forward 3 times", 3.75),
         ("walk for 4 seconds", 4.0),
+        ("step forward, then step back", 1.75 + 2.75),
+        ("punch every second for five seconds", 5.0),
+        ("jab, jab, cross", 1.5 + 0.7 + 1.5),
         ("walk 0.5 metres at 0.2 m/s", 2.5),
         ("hold for 2.5 s", 2.5),
         ("raise both hands in 2 seconds", 2.0),
@@ -104,6 +107,36 @@ def test_only_the_side_that_was_named_moves(verb, side, moved, plan, reach):
     q = np.stack([frame.q for frame in motion.frames])
     for part, does in zip((slice(0, 3), slice(3, 6)), moved, strict=True):
         assert (np.abs(q[:, part] - home[part]).max() > 0.05) == does
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [("rigth", "right"), ("foward", "forward"), ("punhc", "punch"), ("degress", "degrees"), ("wvae", "wave")],
+)
+def test_a_word_one_letter_from_one_word_is_read_as_that_and_said(typed, meant, plan):
+    says = {"right": "turn {}", "forward": "walk {}", "degrees": "turn left 45 {}"}.get(meant, "{}")
+    motion = plan(says.format(typed))
+    assert motion.typed == ((typed, meant),)
+    assert [frame.what for frame in motion.frames] == [frame.what for frame in plan(says.format(meant)).frames]
+
+
+@pytest.mark.parametrize("word", ["bowing", "talk", "have", "lunch", "not", "no", "jump", "sitting", "shake", "kneel"])
+def test_an_english_word_is_never_taken_for_another_one(word, plan):
+    with pytest.raises(SourceError, match=word):
+        plan(f"wave, then {word}")
+
+
+@pytest.mark.parametrize(
+    ("sentence", "axis", "side"), [("hook with the right hand", 1, 1), ("uppercut with the left hand", 0, 0)]
+)
+def test_a_hook_comes_from_the_side_and_an_uppercut_from_below(sentence, axis, side, plan, reach):
+    p = np.stack([reach.toes(frame.q)[side] for frame in plan(sentence).frames])
+    guard = reach.toes(posture("guard", reach))[side]
+    out = -(p[:, 1] - guard[1]) if axis == 1 else -(p[:, 0] - guard[0])
+    assert np.argmax(out) == 1
+    assert out[1] > 0.05
+    assert out[2] < 0
+    np.testing.assert_allclose(p[-1], guard, atol=1e-6)
 
 
 def test_a_punch_goes_out_and_comes_back(plan, reach):
@@ -301,7 +334,7 @@ def test_each_key_frame_says_how_its_part_of_the_sentence_was_understood(plan):
     motion = plan("turn left 45 and walk forward 1 m while waving both hands three times")
     assert list(dict.fromkeys(frame.what for frame in motion.frames)) == [
         "turn left 45° in 1.5 s",
-        "walk forward 1 m in 4 s while wave with both hands 3 times",
+        "walk forward 1 m in 4.75 s while wave with both hands 3 times",
     ]
 
 
