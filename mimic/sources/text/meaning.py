@@ -333,6 +333,7 @@ class _Reader:
         self.hands: tuple[str, ...] = ()
         self.before: Action | None = None
         self.said: Clause | None = None
+        self.walk: Action | None = None
         self.turns: list[Action] = []  # since it faced as at first, or turned back
         self.at: dict[str, str] = {}  # posture in which each hand is
         self.switched = False
@@ -522,6 +523,7 @@ class _Reader:
         if not action.moves_base:
             self.hands = action.sides
             self.at |= dict.fromkeys(action.sides, action.way)
+        self.walk = action if action.verb in ("walk", "step") else self.walk
         self.before, self.said = action, now
         return action
 
@@ -544,7 +546,7 @@ class _Reader:
         goes_on = {"walk": WAYS_ONLY, "step": WAYS_ONLY, "turn": {(False, True, False)}}.get(before.verb, HANDS_ONLY)
         given = (now.has("HAND"), now.has("LEFT", "RIGHT"), bool(now.ways) or (counts and before.moves_base))
         now.refuse(given not in goes_on, f"has no verb; begin with {VERBS_SAID}")
-        unclear = before.verb == "wave" and not (now.has("HAND") or said.has("HAND"))
+        unclear = before.verb == "wave" and not (counts or now.has("HAND") or said.has("HAND"))
         now.refuse(unclear, "can mean two things; say with which hand, or with both hands")
         if counts:
             now.amount("times", now.amounts.pop("bare"))
@@ -562,8 +564,11 @@ class _Reader:
         """Turn "twice as far" and "half of that" into an amount of what was said before."""
         words = now.words["RELATIVE"][0].split()
         factor = number(" ".join(words[:1])) if words[0] in NUMBERS else 1.0
-        before = self.before.amounts if self.before else {}
-        names = {FURTHER[word] for word in words[1:] if word in FURTHER} or set(before)
+        names = {FURTHER[word] for word in words[1:] if word in FURTHER} or set(
+            self.before.amounts if self.before else ()
+        )
+        last = self.walk if names == {"metres"} else self.before
+        before = last.amounts if last else {}
         name = next(iter(names & before.keys()), "")
         if names == {"metres"} and not name:  # "step twice, then half as far back", "walk for 2 seconds, then …"
             name = next((other for other in ("times", "seconds") if other in before), "")

@@ -27,6 +27,8 @@ _REWRITTEN = (  # phrases that mean others
         r"\b(jab|cross|hook|uppercut|punch|spin|wave|step)s? (?=((left|right) )?(jab|cross|hook|uppercut)s?\b|\1\b)",
         r"\1, ",
     ),
+    (r"\bone two (?=one two\b)", "one two, "),
+    (r"\b(hold|keep) (that|this)\b(?! (pose|position|posture|still))", r"\1 it"),
     (r"\b(two|three|four|five|six|seven|eight|nine|ten|\d+) each\b", r"\1 times each"),
 )
 
@@ -80,7 +82,8 @@ def _meant(word: str) -> str:
     letters = ["", *"abcdefghijklmnopqrstuvwxyz"]
     edits = {a + letter + b[cut:] for a, b in parts for letter in letters for cut in (0, 1)} & known
     near = swaps or (edits if len(word) >= SHORTEST else set())
-    return near.pop() if len(near) == 1 else word
+    kinds = {tuple(token.type for token in grammar().lex(other)) for other in near}
+    return min(near) if len(kinds) == 1 else word
 
 
 def prepared(sentence: str) -> tuple[str, dict[str, str]]:
