@@ -1,8 +1,9 @@
-"""How fast a policy walks when it is asked for a speed, measured; kept as ``[walks]`` in the .toml beside its ONNX file."""
+"""How fast a policy walks when it is asked for a speed: ``[walks]`` in the .toml beside its ONNX file, measured."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def corrected(commands: CommandTrack, policy: Path) -> CommandTrack:
     dt = float(commands.t[1] - commands.t[0]) if len(commands.t) > 1 else 0.0
     edges = np.flatnonzero(np.diff(v[:, 0], prepend=np.nan, append=np.nan))
     before = 0.0
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
+    for start, end in pairwise(edges):
         wanted, seconds = v[start, 0], dt * (end - start)
         loses = float(np.interp(wanted, walked, lost))
         if before * wanted < 0.0:

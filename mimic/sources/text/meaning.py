@@ -174,7 +174,7 @@ def parse(sentence: str) -> tuple[Groups, dict[str, str]]:
     raise SourceError(re.sub(r"\bing ", "", message))
 
 
-def _only_meaning(tree: Tree, text: str) -> Groups:
+def _only_meaning(tree: Tree[Any], text: str) -> Groups:
     """Return the groups of a tree; of several that can be read they must all be the same."""
     unclear = SourceError(f"'{text}' can mean two things; say it in shorter parts, joined by 'then'")
     if prod(len(node.children) for node in tree.find_data("_ambig")) > MOST_READINGS:
@@ -199,7 +199,7 @@ def _only_meaning(tree: Tree, text: str) -> Groups:
 def _misfit(error: UnexpectedInput, text: str) -> str:
     """Return what does not fit into a sentence; for an unknown word the nearest words."""
     unknown = list(dict.fromkeys(str(token) for token in grammar().lex(text) if token.type == "UNKNOWN"))
-    token = getattr(error, "token", None)
+    token: Any = getattr(error, "token", None)
     if unknown:
         near = difflib.get_close_matches(unknown[0], sorted(vocabulary() - {unknown[0]}), cutoff=0.7)
         named = f"{unknown[0]!r}" + (f" (near: {', '.join(near)})" if near else "")
@@ -237,7 +237,7 @@ class _Amount:
     tokens: list[Token]
 
 
-class _Clauses(Transformer):
+class _Clauses(Transformer[Any, Any]):
     """Makes clauses of what the grammar found; the tree above them stays."""
 
     def __init__(self, text: str) -> None:
@@ -338,7 +338,7 @@ class _Reader:
         self.at: dict[str, str] = {}  # posture in which each hand is
         self.switched = False
 
-    def read(self, tree: Tree) -> Groups:
+    def read(self, tree: Tree[Any]) -> Groups:
         """Return the groups of a sentence."""
         for part in tree.children:
             found = [self._list(c) if c.data == "list" else self._joined(_clauses(c)) for c in part.children]
@@ -354,7 +354,7 @@ class _Reader:
         self.groups += self._switch(None)
         return self.groups
 
-    def _list(self, tree: Tree) -> Groups:
+    def _list(self, tree: Tree[Any]) -> Groups:
         """Return the groups of items joined by commas."""
         enumerated = any(isinstance(child, Token) for child in tree.children)
         items: list[_Item] = []
@@ -698,7 +698,7 @@ class _Reader:
 class _Item:
     """Clauses joined by "and", what is done meanwhile, and how often all of it."""
 
-    def __init__(self, tree: Tree) -> None:
+    def __init__(self, tree: Tree[Any]) -> None:
         self.leads = tree.data == "meanwhile"
         parts = tree.children[::-1] if self.leads else tree.children
         self.clauses = _clauses(parts[0])
@@ -719,7 +719,7 @@ class _Item:
         self.clauses += more.clauses[1:]
 
 
-def _clauses(tree: Tree | Clause) -> list[Clause]:
+def _clauses(tree: Tree[Any] | Clause) -> list[Clause]:
     """Return the clauses of a tree in their order."""
     if isinstance(tree, Clause):
         return [tree]
