@@ -253,6 +253,10 @@ def _is_gesture(event: Event, moves: list[Move]) -> bool:
         return bool((np.abs(path[1:, 2]) < 0.5).all()) and _peaks(path[1:, 0], 0.7, 0.55) == _wanted(
             event, path[1:, 0], 0.7, 0.55
         )
+    if event.kind == "guard":
+        return bool(len(moves) <= 2 and 0.15 < forward < 0.6 and abs(up) < 0.4 and out < 0.45)
+    if event.kind in ("hook", "uppercut"):
+        return _is_swing(event, path)
     assert event.kind == "wave"
     if path[1:, 2].min() < -0.3 or path[1:, 2].max() < 0.4:
         return False
@@ -261,6 +265,17 @@ def _is_gesture(event: Event, moves: list[Move]) -> bool:
     return _peaks(path[:, axis], middle + 0.15, middle - 0.15) == _wanted(
         event, path[:, axis], middle + 0.15, middle - 0.15
     )
+
+
+def _is_swing(event: Event, path: np.ndarray) -> bool:
+    """Return whether a hand swings, from the side (hook) or from below (uppercut), and comes back."""
+    axis = 1 if event.kind == "hook" else 2
+    sign = 1.0 if event.kind == "hook" else -1.0
+    swing = sign * path[:, axis]
+    high, low = (0.4, 0.25) if event.kind == "hook" else (0.3, 0.1)
+    if event.kind == "uppercut" and path[:, 2].max() < 0.25:
+        return False
+    return bool(path[1:, 0].max() > 0.5) and _peaks(swing[1:], high, low) == _wanted(event, swing[1:], high, low)
 
 
 def _wanted(event: Event, values: np.ndarray, high: float, low: float) -> int:

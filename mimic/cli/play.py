@@ -25,6 +25,7 @@ def play(
     sim: Annotated[bool, o.Flag] = False,
     robot: str | None = None,
     text: str | None = None,
+    plan: Annotated[bool, o.Flag] = False,
     camera: str | None = None,
     out: o.Out = None,
     video: Annotated[Path | None, Parameter(group=o.OUTPUT)] = None,
@@ -52,6 +53,8 @@ def play(
         cyberdog2 for a stock one, go2 for a Unitree Go2 EDU. Without a source it stands until Ctrl-C.
     text
         Play a sentence, such as "step forward, then wave the left hand".
+    plan
+        Print how the sentence is understood, and play nothing.
     camera
         Follow a camera live: its number or device, or a video file in its place.
     out
@@ -61,24 +64,16 @@ def play(
     view
         Open the Rerun viewer at the end; default: if there is a display.
     """
-    if sim == (robot is not None):
-        raise ConfigError(
-            "add --sim for the simulated robot, or --robot can0 for a real one on that bus"
-            if robot is None
-            else "--sim and --robot are two robots; give one of them"
-        )
-    if sim and (asked := _options(bus)):
-        raise ConfigError(f"{asked}: for a real robot only; give --robot instead of --sim, or leave it out")
-    if robot is not None and (asked := _options(model)):
-        raise ConfigError(f"{asked}: for the simulated robot only; give --sim instead of --robot, or leave it out")
+    if plan:
+        return _show_plan(text, o.input_settings(language=language), model)
+    _check_robot(sim, robot, bus, model)
     if sum(given is not None for given in (source, text, camera)) > 1:
         raise ConfigError("a file, --text and --camera are different inputs; give one of them")
-    if video is not None and (robot is not None or camera is not None):
-        raise ConfigError(
-            f"--video films a simulated run of a file; leave it out with {'--robot' if robot else '--camera'}"
-        )
     if camera is not None:
         _check_camera_options(retarget, pose)
+    live_one = "--robot" if robot is not None else "--camera" if camera is not None else ""
+    if video is not None and live_one:
+        raise ConfigError(f"--video films a simulated run of a file; leave it out with {live_one}")
 
     settings = o.input_settings(pose=pose, stored=stored, retarget=retarget, language=language)
     if robot is not None:
@@ -106,6 +101,35 @@ def play(
     played: Path | str = source if text is None else text  # type: ignore[assignment]
     saved = play_source(played, settings, run=run, effects=model, out=out, film=video, reporter=ConsoleReporter())
     return show_simulated(saved, played.name if isinstance(played, Path) else played, view)
+
+
+def _check_robot(sim: bool, robot: str | None, bus: o.Bus, model: o.Effects) -> None:
+    """Raise a ConfigError unless one robot is named, with its own options alone."""
+    if sim == (robot is not None):
+        raise ConfigError(
+            "add --sim for the simulated robot, or --robot can0 for a real one on that bus"
+            if robot is None
+            else "--sim and --robot are two robots; give one of them"
+        )
+    asked = _options(bus) if sim else ""
+    if asked:
+        raise ConfigError(f"{asked}: for a real robot only; give --robot instead of --sim, or leave it out")
+    asked = _options(model) if robot is not None else ""
+    if asked:
+        raise ConfigError(f"{asked}: for the simulated robot only; give --sim instead of --robot, or leave it out")
+
+
+def _show_plan(sentence: str | None, settings: InputSettings, model: o.Effects) -> int:
+    """Print how a sentence is understood."""
+    from mimic.cli.console import ConsoleReporter
+    from mimic.flows.motion import motion_from_text
+    from mimic.flows.play import load_robot
+
+    if sentence is None:
+        raise ConfigError('--plan shows how a sentence is understood: give --text "wave the left hand"')
+    robot = load_robot(DEFAULT_ROBOT if model is None else model.robot_model)
+    motion_from_text(sentence, settings, description=robot, reporter=ConsoleReporter())
+    return DONE
 
 
 def _options(settings: Any) -> str:

@@ -186,7 +186,8 @@ def motion_from_text(
         reporter.note(f"planner      asking {settings.language.llm_model or 'a language model'}")
     script = plan(sentence, reach, settings.language)
     reporter.note(f"planner      {script.planner}: {len(script.frames)} key frames, {script.seconds:.1f} s")
-    reporter.note(f"understood   {describe(script)}")
+    for line in describe(script):
+        reporter.note(line)
     return _of_script(script, reach, loading)
 
 

@@ -146,6 +146,10 @@ def play(
         asked = motion.commands
     if not isinstance(policy, Policy):
         policy = policy_for(settings.policy if policy is None else policy, description)
+    if motion is not None and motion.script is not None:
+        from mimic.policy.walks import corrected
+
+        asked = corrected(motion.commands, policy.path)
     sit_down = sit_down or shipped_sit_down(description, reporter)
     inputs = {"policy": policy.path} | ({} if sit_down is None else {"sit_down": sit_down.path})
     if plant is None:

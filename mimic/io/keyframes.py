@@ -61,6 +61,8 @@ class KeyFrames:
     """The sentence that describes the motion."""
     planner: str = ""
     """Origin of the motion: grammar, the name of a language model, or a person."""
+    typed: tuple[tuple[str, str], ...] = ()
+    """Words of the sentence that were read as others, each with what was read."""
 
     @property
     def seconds(self) -> float:

@@ -38,6 +38,10 @@ POSTURES = {
     "high and open": (0.2, 0.6, 0.6),
     "wave high": (0.45, 0.25, 0.75),
     "wave low": (0.55, 0.25, 0.05),
+    "hook out": (0.3, 0.65, 0.05),
+    "hook in": (0.75, -0.1, 0.05),
+    "uppercut low": (0.3, 0.1, -0.5),
+    "uppercut high": (0.6, 0.0, 0.45),
 }
 """Where a left hand is from its shoulder, forward, left and up [arm lengths]; the right one mirrors left."""
 

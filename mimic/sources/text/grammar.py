@@ -16,14 +16,28 @@ from mimic.io.keyframes import MOST_FRAMES, KeyFrame, KeyFrames
 from mimic.records import SIDES, FloatArray
 from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import FRONT, Reach
+from mimic.sources.text.feasibility import MIN_DURATION
 from mimic.sources.text.meaning import Action, parse
 
-STEP_LENGTH, WALK_SPEED = 0.25, 0.25  # length of a step [m]; default walking speed [m/s]
+STEP_LENGTH = 0.25  # [m]
+WALK_SPEED = {"forward": 0.25, "back": 0.2}  # unless another is said [m/s]
+START_SECONDS, REVERSE_SECONDS = 0.75, 1.5  # what a walk takes beside its distance: to get going, to turn back [s]
 WALK_SECONDS, STOP_SECONDS, HOLD_SECONDS = 3.0, 0.5, 1.0  # default durations [s]
 MOVE_SECONDS, PUNCH_SECONDS = 0.8, 0.35  # from one arm posture to the next; a punch out, and its way back [s]
 TURN_RATE, FASTEST_TURN = math.radians(30), 1.1  # default turning rate [rad/s]; largest factor on it
 
-_POSTURE_WORDS = {"open": "out to the side", "high and open": "up and out to the side"}
+STARTS = {verb: [("guard", MOVE_SECONDS)] for verb in ("punch", "hook", "uppercut")}
+CYCLES = {  # postures through which a gesture goes, with the time to each [s]
+    "wave": [("wave high", MOVE_SECONDS), ("wave low", MOVE_SECONDS)],
+    "cycle": [("up", MOVE_SECONDS), ("down", MOVE_SECONDS)],
+    "punch": [("forward", PUNCH_SECONDS), ("guard", PUNCH_SECONDS)],
+    **{
+        verb: [(f"{verb} {first}", PUNCH_SECONDS), (f"{verb} {then}", PUNCH_SECONDS), ("guard", PUNCH_SECONDS)]
+        for verb, first, then in (("hook", "out", "in"), ("uppercut", "low", "high"))
+    },
+}
+
+_POSTURE_WORDS = {"open": "out to the side", "high and open": "up and out to the side", "guard": "into the guard"}
 
 
 @dataclass(slots=True, eq=False)
@@ -32,6 +46,7 @@ class _Timeline:
 
     base: list[tuple[float, float, float]] = field(default_factory=list)  # duration [s], velocity [m/s], turn [rad]
     hands: dict[str, list[tuple[float, FloatArray]]] = field(default_factory=dict)  # duration [s], joints (3,) [rad]
+    before: float = 0.0  # velocity when it begins [m/s]
     open_end: bool = False  # whether the base goes on for as long as the hands need
     understood: list[str] = field(default_factory=list)
 
@@ -45,8 +60,9 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
     home = reach.description.poses["upright"][:FRONT]
     hands = {"left": home[:3], "right": home[3:]}
     heading, frames = 0.0, []
-    for group in parse(sentence):
-        timeline = _Timeline()
+    groups, typed = parse(sentence)
+    for group in groups:
+        timeline = _Timeline(before=frames[-1].velocity[0] if frames else 0.0)
         for action in group:
             add = _add_base if action.moves_base else _add_hands
             timeline.understood.append(add(action, timeline, hands, reach))
@@ -56,15 +72,15 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
         frames += rows
         if len(frames) > MOST_FRAMES:
             raise SourceError(f"the sentence makes more than {MOST_FRAMES} key frames; say less, or fewer times")
-    return KeyFrames(frames=tuple(frames), sentence=sentence, planner="grammar")
+    return KeyFrames(frames=tuple(frames), sentence=sentence, planner="grammar", typed=tuple(typed.items()))
 
 
 def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:
     said = action.amounts
-    if action.verb in ("stop", "wait"):
-        seconds = said.get("seconds", STOP_SECONDS if action.verb == "stop" else HOLD_SECONDS)
+    if action.verb == "wait":
+        seconds = said.get("seconds", STOP_SECONDS if action.way == "stop" else HOLD_SECONDS)
         timeline.base.append((seconds, 0.0, 0.0))
-        return f"{action.verb} {seconds:g} s"
+        return f"{'stop' if action.way == 'stop' else 'wait'} {seconds:g} s"
     if action.verb == "turn":
         degrees = said.get("degrees", 90.0)
         angle = math.radians(degrees) * (1.0 if action.sides == ("left",) else -1.0)
@@ -73,51 +89,88 @@ def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray],
         return f"turn {action.sides[0]} {degrees:g}° in {seconds:.3g} s"
     most = float(reach.description.commands.velocity[0])
     metres = STEP_LENGTH * said["times"] if "times" in said else said.get("metres")
-    speed = said.get("m/s", min(most, WALK_SPEED * action.speed))
+    speed = said.get("mps", min(most, WALK_SPEED[action.way] * action.speed))
     if metres is None and action.verb == "step" and "seconds" not in said:
         metres = STEP_LENGTH
-    if metres is not None and "seconds" in said:
-        speed = metres / said["seconds"]
+    sign = -1.0 if action.way == "back" else 1.0
+    if metres is not None and "mps" not in said:
+        start = REVERSE_SECONDS if sign * timeline.before < 0.0 else START_SECONDS
+        speed = metres / said.get("seconds", metres / speed + start)
     if not 0.0 < speed <= most + 1e-9:
         raise SourceError(f"{speed:.3g} m/s is not a speed of this robot; it walks with up to {most:g} m/s")
     seconds = metres / speed if metres is not None else said.get("seconds", WALK_SECONDS)
     timeline.open_end = action.verb == "walk" and metres is None and "seconds" not in said
-    timeline.base.append((seconds, speed * (-1.0 if action.way == "back" else 1.0), 0.0))
+    timeline.base.append((seconds, sign * speed, 0.0))
     count = f" {said['times']:g} times," if said.get("times", 1.0) > 1 else ""
     return f"{action.verb} {action.way}{count} {speed * seconds:.3g} m in {seconds:.3g} s"
 
 
 def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:
+    if action.verb == "place":
+        return _place(action, timeline, hands, reach)
     said = action.amounts
-    move, quick = MOVE_SECONDS / action.speed, PUNCH_SECONDS / action.speed
-    start = [("guard", move)] if action.verb == "punch" else []
-    cycle = {
-        "wave": [("wave high", move), ("wave low", move)],
-        "punch": [("forward", quick), ("guard", quick)],
-        "cycle": [("up", move), ("down", move)],
-        "place": [(action.way, move)],
-    }[action.verb]
+    start = [(name, seconds / action.speed) for name, seconds in STARTS.get(action.verb, [])]
+    cycle = [(name, seconds / action.speed) for name, seconds in CYCLES[action.verb]]
+    if _in_guard(action, hands, reach):
+        start = []
+    first, each = (sum(seconds for _, seconds in part) for part in (start, cycle))
     times = int(said.get("times", 2.0 if action.verb == "wave" else 1.0))
-    if "seconds" in said and "times" not in said and action.verb != "place":
-        left = said["seconds"] - sum(duration for _, duration in start)
-        times = max(1, round(left / sum(duration for _, duration in cycle)))
+    if "seconds" in said and "times" not in said:
+        times = max(1, round((said["seconds"] - first) / each))
     if times > MOST_FRAMES:
         raise SourceError(f"{times} times is more than the {MOST_FRAMES} key frames of a motion")
-    names = start + cycle * times
-    holds = action.verb == "place" and action.stays and "seconds" in said
-    factor = said["seconds"] / sum(duration for _, duration in names) if "seconds" in said and not holds else 1.0
+    factor = said["seconds"] / (first + times * each) if "seconds" in said else 1.0
+    rows = [(name, factor * seconds) for name, seconds in start + cycle * times]
+    if action.every:
+        rows = _every(action.every, start, cycle, times)
     for side in action.sides:
-        own = slice(0, 3) if side == "left" else slice(3, 6)
-        way = [(duration * factor, posture(name, reach)[own]) for name, duration in names]
-        there = holds and np.allclose(way[-1][1], hands[side])  # "raise it and keep it up for 2 seconds"
-        timeline.hands[side] = [*([] if there else way), *([(said["seconds"], way[-1][1])] if holds else [])]
-    who = "both hands" if len(action.sides) == 2 else f"the {action.sides[0]} hand"
-    took = f" in {said['seconds']:.3g} s" if "seconds" in said and not holds else ""
-    if action.verb == "place":
-        hold = f" and hold {said['seconds']:g} s" if holds else ""
-        return f"bring {who} {_POSTURE_WORDS.get(action.way, action.way)}{hold}{took}"
+        timeline.hands[side] = [(seconds, _own(name, side, reach)) for name, seconds in rows]
     verb = "raise and lower" if action.verb == "cycle" else f"{action.verb} with"
-    return f"{verb} {who} {times} time{'s' if times > 1 else ''}{took}"
+    return f"{verb} {_who(action)} {times} time{'s' if times > 1 else ''}" + (
+        f" in {said['seconds']:.3g} s" if "seconds" in said else ""
+    )
+
+
+Rows = list[tuple[str, float]]
+
+
+def _in_guard(action: Action, hands: dict[str, FloatArray], reach: Reach) -> bool:
+    return all(np.allclose(hands[side], _own("guard", side, reach)) for side in action.sides)
+
+
+def _every(period: float, start: Rows, cycle: Rows, times: int) -> Rows:
+    """Return a gesture at regular times: what is left of a period waits at its end, the first has the start."""
+    rows: Rows = []
+    for part in [start + cycle] + [cycle] * (times - 1):
+        needed = sum(seconds for _, seconds in part)
+        rows += [(name, seconds * min(1.0, period / needed)) for name, seconds in part]
+        rows += [(part[-1][0], period - needed)] * (period > needed + 1e-6)
+    return rows
+
+
+def _place(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:
+    seconds = action.amounts.get("seconds")
+    moving = seconds if seconds is not None and not action.stays else MOVE_SECONDS / action.speed
+    for side in action.sides:
+        q = _own(action.way, side, reach)
+        there = (
+            seconds is not None and action.stays and np.allclose(q, hands[side])
+        )  # "raise it and keep it up for 2 s"
+        timeline.hands[side] = [] if there else [(moving, q)]
+        if seconds is not None and action.stays:
+            timeline.hands[side].append((seconds, q))
+    took = "" if seconds is None else f" and hold {seconds:g} s" if action.stays else f" in {seconds:.3g} s"
+    where = _POSTURE_WORDS.get(action.way, action.way)
+    return f"bring {_who(action)} {where}{took}"
+
+
+def _own(name: str, side: str, reach: Reach) -> FloatArray:
+    q = posture(name, reach)
+    return q[:3] if side == "left" else q[3:]
+
+
+def _who(action: Action) -> str:
+    return "both hands" if len(action.sides) == 2 else f"the {action.sides[0]} hand"
 
 
 def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -> tuple[list[KeyFrame], float]:
@@ -125,7 +178,10 @@ def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -
     base = list(timeline.base)
     moving = max((sum(duration for duration, _ in moves) for moves in timeline.hands.values()), default=0.0)
     lacking = moving - sum(part[0] for part in base)
-    if lacking > 1e-9:
+    if base and timeline.hands and 0.0 < abs(lacking) < MIN_DURATION:  # both end together, as far as before
+        seconds, forward, turn = base[-1]
+        base[-1] = (seconds + lacking, forward * seconds / (seconds + lacking), turn)
+    elif lacking > 1e-9:
         forward = base[-1][1] if base and timeline.open_end else 0.0
         base.append((lacking, forward, 0.0))
     ends = np.cumsum([part[0] for part in base])

@@ -1,7 +1,7 @@
 """A sentence -> groups of actions: groups one after the other, the actions of a group at the same time.
 
-`sentence.lark` has the words and how they go together; here its rules get their meaning. Every word is used or the
-sentence is refused: an amount, side or direction that its verb does not take is an error.
+`sentence.lark` has the words, how they go together, and what each verb takes; here its rules get their meaning. Every
+word is used or the sentence is refused.
 """
 
 from __future__ import annotations
@@ -9,30 +9,28 @@ from __future__ import annotations
 import difflib
 import re
 from dataclasses import dataclass, field, replace
-from functools import cache
-from importlib.resources import files
+from math import prod
 from typing import Any
 
-from lark import Lark, Token, Tree, UnexpectedInput
-from lark.lexer import PatternRE
+from lark import Token, Transformer, Tree, UnexpectedInput
+from lark.visitors import CollapseAmbiguities
 
 from mimic.errors import SourceError
+from mimic.sources.text.words import VERBS, grammar, prepared, vocabulary
 
 PACES = {"SLOW": 0.6, "FAST": 1.5, "TWICE_AS_FAST": 2.0, "HALF_AS_FAST": 0.5}
-UNITS = {
-    "SECONDS": ("seconds", 1.0), "MINUTES": ("seconds", 60.0), "TIMES": ("times", 1.0), "DEGREES": ("degrees", 1.0),
-    "METRES": ("metres", 1.0), "CENTIMETRES": ("metres", 0.01), "FEET": ("metres", 0.3048),
-    "INCHES": ("metres", 0.0254), "METRES_PER_SECOND": ("m/s", 1.0), "HALF_TURN": ("degrees", 180.0),
-    "QUARTER_TURN": ("degrees", 90.0), "FULL_TURN": ("degrees", 360.0),
+FACTORS = {
+    "MINUTES": 60.0, "CENTIMETRES": 0.01, "FEET": 0.3048, "INCHES": 0.0254, "HALF_TURN": 180.0, "QUARTER_TURN": 90.0,
+    "FULL_TURN": 360.0, "TURN": 360.0,
 }  # fmt: skip
 _SMALL = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen"
 _TENS = "twenty thirty forty fifty sixty seventy eighty ninety"
 NUMBERS = {word: float(n) for n, word in enumerate(f"{_SMALL} seventeen eighteen nineteen".split())}
-NUMBERS |= {w: 10.0 * n for n, w in enumerate(_TENS.split(), 2)}
-NUMBERS |= {"half": 0.5, "quarter": 0.25, "couple": 2.0, "once": 1.0, "twice": 2.0, "thrice": 3.0}
+NUMBERS |= {word: 10.0 * n for n, word in enumerate(_TENS.split(), 2)}
+NUMBERS |= {"half": 0.5, "couple": 2.0, "once": 1.0, "twice": 2.0, "thrice": 3.0, "double": 2.0, "triple": 3.0}
 WAYS = {
-    "FORWARD": "forward", "BACK": "back", "UP": "up", "BACK_UP": "up", "DOWN": "down", "SIDEWAYS": "side", "OUT": "out",
-    "OPEN": "side", "UP_AND_DOWN": "up and down", "AROUND": "around",
+    "FORWARD": "forward", "BACK": "back", "UP": "up", "DOWN": "down", "SIDEWAYS": "side", "OUT": "out", "OPEN": "side",
+    "UP_AND_DOWN": "up and down", "AROUND": "around", "IN": "forward",
 }  # fmt: skip
 _OUT = {"out": "open", "side": "open"}
 _EACH_WAY = {"up": "up", "down": "down", "forward": "forward", **_OUT}
@@ -40,55 +38,91 @@ POSTURES = {  # for each verb the posture that a direction means
     "RAISE": {"": "up", "up": "up", "forward": "forward", **_OUT},
     "LOWER": {"": "down", "down": "down"},
     "OPEN": {"": "open", **_OUT, **dict.fromkeys(("up", "out up", "side up"), "high and open")},
+    "CLOSE": {"": "down"},
+    "HIGH_FIVE": {"": "up"},
     "EXTEND": {"": "forward", **_EACH_WAY},
     **dict.fromkeys(("STRETCH", "PLACE"), _EACH_WAY),
 }
-TAKES = {  # amounts that a verb takes
-    "step": ("times", "seconds", "metres", "m/s"),
-    "walk": ("seconds", "metres", "m/s"),
-    "turn": ("degrees", "seconds"),
-    **dict.fromkeys(("stop", "wait", "place"), ("seconds",)),
-    **dict.fromkeys(("wave", "punch", "cycle"), ("times", "seconds")),
+BASE = ("step", "walk", "turn", "wait")  # verbs of the base; all others move hands
+GESTURES = ("wave", "punch", "hook", "uppercut", "cycle")
+BOXED = {
+    "JAB": ("punch", "left"),
+    "CROSS": ("punch", "right"),
+    "HOOK": ("hook", "left"),
+    "UPPERCUT": ("uppercut", "right"),
 }
-GESTURES = ("wave", "punch", "cycle")
-BASE = ("step", "walk", "turn", "stop", "wait")  # verbs of the base; all others move hands
+WAYS_ONLY = {(False, False, True)}  # clauses without a verb that go on with a verb before, by hand, side and way
+HANDS_ONLY = {(True, False, False), (False, True, False), (True, True, False)}
+MOST_READINGS = 64  # of one sentence
 ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
-IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT"}
-MOVES = ("STEP", "WALK", "MOVE", "TURN")
+LITTLE = {"turn": ("degrees", 30.0), "walk": ("metres", 0.25), "step": ("metres", 0.15)}
+FURTHER = {
+    "far": "metres",
+    "distance": "metres",
+    "long": "seconds",
+    "time": "seconds",
+    "often": "times",
+    "times": "times",
+}
+IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT", "ONE_TWO"}
 BOTH = ("left", "right")
 OPPOSITE = {"left": "right", "right": "left"}
-VERBS = "step, walk, turn, stop, wait, wave, punch, raise, lower, open, put, move, hold, point or stretch"
+VERBS_SAID = "step, walk, turn, stop, wait, wave, punch, jab, raise, lower, open, put, move, hold, point or stretch"
+AMOUNTS = {"seconds", "metres", "mps", "degrees", "times", "turns", "count", "bare", "steps", "every", "pause"}
+CLAUSES = {"step", "walk", "turn", "still", "gesture", "place", "pose", "repeat", "switch", "more"}
 
 
 @dataclass(kw_only=True, slots=True)
 class Action:
-    """One thing to do, and what was said of it."""
+    """One thing to do."""
 
-    verb: str = ""  # step, walk, turn, stop, wait, wave, punch, cycle (up and down) or place (hands into a posture)
+    verb: str  # step, walk, turn, wait; wave, punch, hook, uppercut, cycle (up and down) or place (into a posture)
     sides: tuple[str, ...] = ()  # hands that move, or the side to turn to
     way: str = ""  # forward or back for the base; the posture for hands
-    amounts: dict[str, float] = field(default_factory=dict)  # times, seconds, degrees, metres, m/s, as said
+    amounts: dict[str, float] = field(default_factory=dict)  # times, seconds, degrees, metres, mps, as said
     stays: bool = True  # whether the seconds are how long a posture is held, not how long the movement takes
     speed: float = 1.0
-    text: str = ""
-    kind: str = ""  # terminal of its verb, if it has one
-    word: str = ""
-    words: dict[str, list[str]] = field(default_factory=dict)  # for each other terminal its words
-    ways: set[str] = field(default_factory=set)
-    last: str = ""  # the amount with which it ends
-    pause: float = 0.0  # between its parts [s]
-    along: list[Action] = field(default_factory=list)
+    every: float = 0.0  # from one gesture to the next [s]
 
     @property
     def moves_base(self) -> bool:
         """Whether it moves the base or lets it stand, not the hands."""
         return self.verb in BASE
 
+
+Groups = list[list[Action]]
+
+
+@dataclass(kw_only=True, slots=True)
+class Clause:
+    """What is said of one action."""
+
+    text: str
+    rule: str = ""
+    kind: str = ""  # terminal of its verb, if it has one
+    words: dict[str, list[str]] = field(default_factory=dict)  # for each other terminal its words
+    ways: set[str] = field(default_factory=set)
+    amounts: dict[str, float] = field(default_factory=dict)
+    stays: bool = True
+    last: str = ""  # the amount with which it ends
+    pause: float = 0.0  # between its parts [s]
+    every: float = 0.0  # from one to the next [s]
+    along: list[Clause] = field(default_factory=list)
+
     @property
     def bare(self) -> bool:
-        """Whether it only adds an amount or a pace to the action before."""
-        own = self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING"}
-        return not (self.kind or self.ways or own or "bare" in self.amounts)
+        """Whether it only adds an amount or a pace to the clause before."""
+        own = self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING", "RELATIVE", "SAME", "MORE"}
+        return not (self.kind or self.ways or own or "bare" in self.amounts or self.rule != "more")
+
+    @property
+    def repeats(self) -> bool:
+        """Whether it says what was said before once more."""
+        return self.rule == "repeat" or (self.rule == "more" and self.words.keys() in ({"AGAIN"}, {"MORE"}))
+
+    def has(self, *kinds: str) -> bool:
+        """Return whether it has words of some terminals."""
+        return not self.words.keys().isdisjoint(kinds)
 
     def error(self, message: str) -> SourceError:
         """Return an error about it."""
@@ -107,91 +141,84 @@ class Action:
             raise self.error(f"has {value:g} {name}; expected {'1, 2, 3, …' if name == 'times' else 'more than 0'}")
         self.amounts[name] = value
 
-    def add(self, other: Action) -> None:
+    def add(self, other: Clause) -> None:
         """Add what is said behind a comma: "wave, slowly"."""
         for name, value in other.amounts.items():
             self.amount(name, value)
-        kinds = {**self.words, **other.words}
-        self.words = {kind: self.words.get(kind, []) + other.words.get(kind, []) for kind in kinds}
-        self.pause, self.stays = other.pause or self.pause, self.stays and other.stays
+        for kind, said in other.words.items():
+            self.words[kind] = self.words.get(kind, []) + said
+        self.pause = other.pause or self.pause
+        self.every = other.every or self.every
+        self.stays = self.stays and other.stays
         self.last = other.last or self.last
 
 
-Groups = list[list[Action]]
-
-# ---------------------------------------------------------------------- sentence to tree
+# ---------------------------------------------------------------------- sentence to clauses
 
 
-def _to_word_end(terminal: Any) -> None:
-    if terminal.name not in ("WS", "_COMMA", "COMMA_AND", "_NEXT", "_THEN", "UNKNOWN"):
-        terminal.pattern = PatternRE(f"(?:{terminal.pattern.to_regexp()})(?![\\w'])")
-
-
-@cache
-def grammar() -> Lark:
-    """Return the grammar of `sentence.lark`."""
-    text = files("mimic.sources.text").joinpath("sentence.lark").read_text("utf-8")
-    options: dict[str, Any] = {"ambiguity": "explicit", "propagate_positions": True, "edit_terminals": _to_word_end}
-    return Lark(text, lexer="basic", **options)
-
-
-def vocabulary(kinds: set[str] | None = None) -> set[str]:
-    """Return the words of some terminals, or of all."""
-    text = " ".join(t.pattern.to_regexp() for t in grammar().terminals if kinds is None or t.name in kinds)
-    text = re.sub(r"\(\?<?[=!](?:[^()]|\([^()]*\))*\)|\\\w", " ", text)
-    return set(re.findall(r"\b[a-z]{2,}\b", text))
-
-
-def parse(sentence: str) -> Groups:
-    """Return what a sentence asks for.
+def parse(sentence: str) -> tuple[Groups, dict[str, str]]:
+    """Return what a sentence asks for, and the mistyped words with what was read for them.
 
     Raises:
         SourceError: If a word is unknown, or anything said is not used by the action to which it belongs.
     """
-    text = re.sub(r"(?<=\w)-(?=[a-z])|(?<=\d)(?=[a-z°])|\s+", " ", sentence.lower().replace("’", "'"))
-    if found := re.search(r"\d,\d|\d\s*[-–]\s*\d|[-–−]\s*\d|\d\s*%", text):
-        raise SourceError(f"'{found.group().strip()}' is not a number of the phrasebook; write 45, 1.5 or three")
-    text = re.sub(r"\bretreat(ing)?\b", r"walk\1 back", text.replace("back and forth", "forward and back"))
-    text = re.sub(r"\b(half|quarter)( of)? an? ", r"\1 ", text)
-    text = re.sub(r"\ban?(other)? (?=(second|minute|met(re|er)|foot)\b)", "1 ", text)
-    text = re.sub(rf"(?<![\w'])(?:{grammar().get_terminal('FILLER').pattern.to_regexp()})", " ", text)
-    text = " ".join(text.split())
-    if not re.search(r"\w", text):
-        raise SourceError(f"the sentence has no verb; say what to do with {VERBS}")
+    text, typed = prepared(sentence)
+    if not text:
+        raise SourceError(f"the sentence has no verb; say what to do with {VERBS_SAID}")
     try:
-        tree: Any = grammar().parse(text)
+        return _only_meaning(grammar().parse(text), text), typed
     except UnexpectedInput as error:
-        raise SourceError(_misfit(error, text)) from None
-    if tree.data == "_ambig":
-        raise SourceError(f"'{text}' can mean two things; say it in shorter parts, joined by 'then'")
-    reader, again = _Reader(text), getattr(tree.children[-1], "type", "") == "REPEAT_ALL"
-    groups = [group for block in tree.children if isinstance(block, Tree) for group in reader.block(block)]
-    for side in BOTH if again else ():
-        ways = [a.way for group in groups for a in group if side in a.sides and not a.moves_base]
-        if ways and ways[0] and ways[0] == ways[-1]:
-            raise SourceError(f"the {side} hand is {ways[0]} already when all begins again; say what it does before")
-    return groups * 2 if again else groups
+        message = _misfit(error, text)
+    except SourceError as error:
+        message = str(error)
+    raise SourceError(re.sub(r"\bing ", "", message))
+
+
+def _only_meaning(tree: Tree[Any], text: str) -> Groups:
+    """Return the groups of a tree; of several that can be read they must all be the same."""
+    unclear = SourceError(f"'{text}' can mean two things; say it in shorter parts, joined by 'then'")
+    if prod(len(node.children) for node in tree.find_data("_ambig")) > MOST_READINGS:
+        raise unclear
+    meanings: list[Groups] = []
+    errors: list[SourceError] = []
+    for one in CollapseAmbiguities().transform(tree) if any(tree.find_data("_ambig")) else [tree]:
+        try:
+            found = _Reader().read(_Clauses(text).transform(one))
+        except SourceError as error:
+            errors.append(error)
+            continue
+        if found not in meanings:
+            meanings.append(found)
+    if not meanings:
+        raise errors[0]
+    if len(meanings) > 1:
+        raise unclear
+    return meanings[0]
 
 
 def _misfit(error: UnexpectedInput, text: str) -> str:
-    """Return what does not fit into a sentence; for an unknown word the nearest words of the kind expected there."""
+    """Return what does not fit into a sentence; for an unknown word the nearest words."""
     unknown = list(dict.fromkeys(str(token) for token in grammar().lex(text) if token.type == "UNKNOWN"))
-    token = getattr(error, "token", None)
+    token: Any = getattr(error, "token", None)
     if unknown:
-        expected: set[str] = set(getattr(error, "expected", ())) if token == unknown[0] else set()
-        if "_DO" not in expected:  # behind a verb
-            expected -= {*POSTURES, *MOVES, *map(str.upper, TAKES), "HOLD", "TURN_AROUND"}
-        near = difflib.get_close_matches(unknown[0], sorted(vocabulary(expected) - {unknown[0]}), cutoff=0.7)
+        near = difflib.get_close_matches(unknown[0], sorted(vocabulary() - {unknown[0]}), cutoff=0.7)
         named = f"{unknown[0]!r}" + (f" (near: {', '.join(near)})" if near else "")
         return (
-            f"the phrasebook has no word {', '.join([named, *map(repr, unknown[1:6])])}; its verbs are {VERBS}, as in "
-            "'step forward, then wave the left hand'. Other words need a language model: llm_url, [text] in --config"
+            f"the phrasebook has no word {', '.join([named, *map(repr, unknown[1:6])])}; its verbs are {VERBS_SAID}, "
+            "as in 'step forward, then wave the left hand'. Other words need a language model: llm_url, [text] in "
+            "--config"
         )
     if not token:
-        return f"'{text}' lacks something behind {text.split()[-1]!r}: a verb such as {VERBS}, a time, or a unit"
-    before = text[: token.start_pos].strip()
-    where = f"behind '{before}'" if before else "at the beginning"
-    return f"'{token.strip()}' {where} is not something the phrasebook understands; say it in parts, joined by 'then'"
+        return f"'{text}' lacks something behind {text.split()[-1]!r}: a verb such as {VERBS_SAID}, a time, or a unit"
+    words = text[: token.start_pos].split()
+    said = [words.pop()] if words and _is_number(words[-1]) else []
+    said += text[token.start_pos :].split()[:2] if token == "ing" else [token.strip()]
+    where = f"behind '{' '.join(words)}'" if words else "at the beginning"
+    return f"'{' '.join(said)}' {where} is not something the phrasebook understands; say it in parts, joined by 'then'"
+
+
+def _is_number(word: str) -> bool:
+    return word in NUMBERS or word[-1].isdigit()
 
 
 def number(text: str) -> float:
@@ -203,313 +230,455 @@ def number(text: str) -> float:
     return value
 
 
-# ---------------------------------------------------------------------- tree to actions
+@dataclass(slots=True)
+class _Amount:
+    name: str
+    value: float
+    tokens: list[Token]
+
+
+class _Clauses(Transformer[Any, Any]):
+    """Makes clauses of what the grammar found; the tree above them stays."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.text = text
+
+    def __default__(self, data: Any, children: list[Any], meta: Any) -> Any:
+        rule = str(data)
+        if rule in AMOUNTS:
+            return _amount(rule, children)
+        if rule in CLAUSES:
+            return _clause(rule, children, self.text[meta.start_pos : meta.end_pos])
+        if rule == "later":
+            (wait,) = [child for child in children if isinstance(child, _Amount)]
+            text = self.text[meta.start_pos : meta.end_pos]
+            waiting = Clause(text=text, rule="still", kind="WAIT", amounts={"seconds": wait.value})
+            return Tree(data, [waiting, *(child for child in children if child is not wait)])
+        return Tree(data, children, meta)
+
+
+def _amount(name: str, children: list[Any]) -> _Amount:
+    tokens = [child for child in children if isinstance(child, Token)]
+    for inner in (child for child in children if isinstance(child, _Amount)):
+        return _Amount(name, inner.value, tokens)  # a pause
+    value = next((number(token) for token in tokens if token.type in ("NUMBER", "ONCE")), 1.0)
+    value += 0.5 * any(token.type == "AND_HALF" for token in tokens)
+    for token in tokens:
+        value *= FACTORS.get(token.type, 1.0)
+    return _Amount(name, value, tokens)
+
+
+def _clause(rule: str, children: list[Any], text: str) -> Clause:
+    now = Clause(text=text, rule=rule, kind="PLACE" if rule == "pose" else "")
+    for child in children:
+        if isinstance(child, Clause):
+            now.along.append(child)
+        elif isinstance(child, _Amount):
+            _note_amount(now, child)
+        else:
+            _note_word(now, child)
+    return now
+
+
+def _note_amount(now: Clause, said: _Amount) -> None:
+    if said.name in ("every", "pause"):
+        setattr(now, said.name, said.value)
+        return
+    kinds = {token.type for token in said.tokens}
+    name = {"count": "times", "steps": "times", "turns": "degrees"}.get(said.name, said.name)
+    if said.name == "steps" or (now.kind == "" and kinds & {"HALF_TURN", "QUARTER_TURN", "FULL_TURN"}):
+        now.kind = "STEP" if said.name == "steps" else "TURN"
+    now.stays = now.stays and "IN" not in kinds
+    now.amount(name, said.value)
+    now.last = name if said.name != "count" else ""
+    for token in said.tokens:
+        if token.type in (*PACES, "MORE"):
+            now.words.setdefault(token.type, []).append(str(token))
+
+
+def _note_word(now: Clause, token: Token) -> None:
+    if (token.type in WAYS and now.rule not in ("turn", "still")) or token.type in ("AROUND", "BACK"):
+        if token.type == "OPEN" and now.rule == "place":
+            now.kind = "OPEN"
+        else:
+            now.ways.add("back" if token.type == "OUT" and now.rule == "step" else WAYS[token.type])
+        now.last = ""
+    elif token.type == "BACK_UP":
+        now.kind, now.ways = "WALK", now.ways | {"back"}
+    elif token.type in VERBS or token.type in (
+        "TURN_AROUND",
+        "GUARD",
+        "HIGH_FIVE",
+        "ONE_TWO",
+        "SWITCH",
+        "REPEAT",
+        "REPEAT_ALL",
+    ):
+        now.kind = now.kind if now.kind == "STEP" or (token.type == "GUARD" and now.kind == "LOWER") else token.type
+    else:
+        if token.type in ("HAND", "LEFT", "RIGHT"):
+            now.last = ""
+        now.words.setdefault(token.type, []).append(str(token).removesuffix(" there"))
+
+
+# ---------------------------------------------------------------------- clauses to actions
 
 
 class _Reader:
-    """Turns trees into groups of actions in the order in which they are said; knows which hands moved last."""
+    """Makes actions of clauses in the order in which they are said; knows which hands moved last."""
 
-    def __init__(self, text: str) -> None:
-        self.text = text
+    def __init__(self) -> None:
+        self.groups: Groups = []
         self.hands: tuple[str, ...] = ()
         self.before: Action | None = None
+        self.said: Clause | None = None
+        self.walk: Action | None = None
         self.turns: list[Action] = []  # since it faced as at first, or turned back
+        self.at: dict[str, str] = {}  # posture in which each hand is
+        self.switched = False
 
-    def block(self, tree: Any) -> Groups:
-        """Return the groups of parts joined by commas, the last of them perhaps in time with another."""
-        parts: list[Any] = []
-        for part in (child for child in tree.children if isinstance(child, Tree)):
-            units = part if part.data == "timed" else self._units(part)
-            if not parts or isinstance(units, Tree) or not units[0][0].bare:
-                parts.append(units)
-                continue
-            if units[0][0].amounts and (len(parts[0]) + len(parts) > 2 or self.before):
-                raise units[0][0].error("comes behind several actions; say it for each")
-            parts[-1][-1][-1].add(units[0][0])
-            parts[-1] += units[1:]
+    def read(self, tree: Tree[Any]) -> Groups:
+        """Return the groups of a sentence."""
+        for part in tree.children:
+            found = [self._list(c) if c.data == "list" else self._joined(_clauses(c)) for c in part.children]
+            if part.data == "swapped":
+                if len(found[0]) > 1:
+                    raise SourceError(
+                        "'after', 'before' or 'first' comes behind more than one action; say them in order"
+                    )
+                found = found[::-1]
+            elif part.data == "around":
+                found = [*found, found[0]]
+            self.groups += [group for groups in found for group in groups]
+        self.groups += self._switch(None)
+        return self.groups
+
+    def _list(self, tree: Tree[Any]) -> Groups:
+        """Return the groups of items joined by commas."""
         enumerated = any(isinstance(child, Token) for child in tree.children)
+        items: list[_Item] = []
+        for child in (child for child in tree.children if isinstance(child, Tree)):
+            item = _Item(child)
+            if not items or not item.clauses[0].bare:
+                items.append(item)
+            else:
+                name = item.clauses[0].last
+                unclear = len(items) > 1 or any(name in _takes(action) for group in self.groups for action in group)
+                item.clauses[0].refuse(name and unclear, "comes behind several actions; say it for each")
+                items[-1].add(item)
         groups: Groups = []
-        for part in parts:
-            if isinstance(part, Tree):
-                groups += self._timed(part)
+        for item in items:
+            first, last = item.clauses[0], item.clauses[-1]
+            if first.repeats:
+                groups += self._again(first, [*self.groups, *groups])
                 continue
-            goes_on = enumerated or not part[0][0].kind
-            group = groups[-1] if groups else [self.before] if self.before else []
-            new = self._joined(part)
-            if goes_on:
-                self._scope(group, part[0][-1], at_once=False)
+            before = (groups or [[self.before]] if self.before else groups)[-1:]
+            goes_on = enumerated or not first.kind
+            new = self._item(item)
+            if before and goes_on:
+                self._scope(before[0], last, at_once=False)
             groups += new
         return groups
 
-    def _timed(self, tree: Any) -> Groups:
-        joint = next((child for child in tree.children if isinstance(child, Token)), Token("WHILE", ""))
-        leads = joint is tree.children[0]
-        one, other = (self._joined(self._units(child)) for child in tree.children if isinstance(child, Tree))
-        if joint.type == "WHILE":
-            return _together(one, other)
-        if joint.type == "BEFORE_AND_AFTER":
-            return [*one, *other, *one]
-        if joint.type == "AFTER" and len(one) > 1 and not leads:
-            raise SourceError("'after' comes behind more than one action; say them in their order, with 'then'")
-        return [*other, *one] if leads == (joint.type == "BEFORE") else [*one, *other]
-
-    def _units(self, tree: Any) -> list[list[Action]]:
-        """Return the actions of each unit, as they are said."""
-        if tree.data in ("joined", "delayed"):
-            children = tree.children if tree.data == "joined" else tree.children[::-1]
-            return [unit for child in children for unit in self._units(child)]
-        said: list[Action] = []
-        for child in [tree] if tree.data in ("pose", "delay") else tree.children:
-            now = self._said(child)
-            if said and now.bare:
-                said[-1].add(now)
-            else:
-                said.append(now)
-        return [said]
-
-    def _said(self, tree: Any) -> Action:
-        """Collect the words of one action."""
-        now = Action(text=self.text[tree.meta.start_pos : tree.meta.end_pos])
-        now.kind, now.word = {"pose": ("PLACE", "with"), "delay": ("WAIT", "after")}.get(tree.data, ("", ""))
-        for child in tree.children:
-            if (child.type if isinstance(child, Token) else child.data) in {*WAYS, "HAND", "LEFT", "RIGHT", "along"}:
-                now.last = ""
-            if isinstance(child, Token):
-                if child.type == "BACK_UP" and not now.kind:
-                    now.kind, now.word, now.ways = "WALK", str(child), now.ways | {"back"}
-                elif child.type == "BARE":
-                    now.amount("bare", number(child))
-                elif child.type in WAYS:
-                    now.ways.add(WAYS[child.type])
-                else:
-                    now.words.setdefault(child.type, []).append(str(child).removesuffix(" there"))
-            elif child.data == "verb":
-                now.kind, now.word = child.children[0].type, str(child.children[0])
-            elif child.data == "amount":
-                now.last = _amount(now, child.children)
-            elif child.data == "between":
-                pause = Action(text=now.text)
-                _amount(pause, next(c for c in child.children if isinstance(c, Tree)).children)
-                now.pause = pause.amounts.get("seconds", 0.0)
-            elif child.data == "counted":
-                _counted(now, child.children)
-            else:
-                now.along.append(self._said(child))
-        return now
-
-    # ------------------------------------------------------------------ scope
-
-    def _joined(self, units: list[list[Action]]) -> Groups:
-        """Return the groups of units joined by "and"."""
-        groups: Groups = []
-        for unit in units:
-            new = self._unit(unit)
-            at_once = any("TOGETHER" in said.words for said in unit)
-            if groups:
-                at_once = at_once or (len(new) == 1 == len(new[0]) and _at_once(groups[-1], new[0][0]))
-                self._scope(groups[-1], unit[-1], at_once)
-                groups = _together(groups, new) if at_once else [*groups, *new]
-            elif at_once and (len(new) > 1 or len(new[0]) + len(new[0][0].sides) < 3):
-                raise SourceError("'at the same time' needs two actions joined by 'and'")
-            else:
-                groups = new
+    def _item(self, item: _Item) -> Groups:
+        """Return the groups of an item, with what is done meanwhile."""
+        early = [self._unit([clause]) for clause in item.during] if item.leads else []
+        groups = self._joined(item.clauses) * item.rounds
+        late = [self._unit([clause]) for clause in item.during] if not item.leads else []
+        for more in (*early, *late):
+            if len(groups) > 1 and item.clear:
+                raise SourceError(f"'{item.during[0].text}' goes with several actions; say with which")
+            groups = _together(groups, more)
         return groups
 
-    def _scope(self, group: list[Action], said: Action, at_once: bool) -> None:
+    def _joined(self, clauses: list[Clause]) -> Groups:
+        """Return the groups of clauses joined by "and"."""
+        units: list[list[Clause]] = []
+        for clause in clauses:
+            if units and clause.bare:
+                units[-1][-1].add(clause)
+            elif units and not clause.kind:
+                units[-1].append(clause)
+            else:
+                units.append([clause])
+        groups: Groups = []
+        for unit in units:
+            if unit[0].repeats:
+                return [*groups, *self._again(unit[0], [*self.groups, *groups])]
+            new = self._unit(unit)
+            at_once = any(clause.has("TOGETHER") for clause in unit)
+            if not groups:
+                wrong = at_once and (len(new) > 1 or len(new[0]) + len(new[0][0].sides) < 3)
+                unit[0].refuse(wrong, "is one action; 'at the same time' needs two, joined by 'and'")
+                groups = new
+                continue
+            at_once = at_once or (len(new) == 1 == len(new[0]) and _at_once(groups[-1], new[0][0]))
+            self._scope(groups[-1], unit[-1], at_once)
+            groups = _together(groups, new) if at_once else [*groups, *new]
+        return groups
+
+    def _scope(self, group: list[Action], said: Clause, at_once: bool) -> None:
         """Give a time behind two joined actions to both, where they are at once; refuse what could belong to both."""
         name = said.last
-        takes = [a for a in group if name in TAKES[a.verb] and not a.amounts]
-        free = [a for a in takes if name != "seconds" or a.verb in ("walk", *GESTURES)]
+        free = [action for action in group if not action.amounts and name in _takes(action)]
+        free = [action for action in free if name != "seconds" or action.verb in ("walk", *GESTURES)]
         if name == "seconds" and not said.stays:
-            free = [a for a in group if name not in a.amounts]
+            free = [action for action in group if name not in action.amounts]
         if free and not (at_once and name == "seconds"):
             value = f"{said.amounts[name]:g} {name}"
-            raise said.error(
-                f"has {value}, which can belong to {free[0].word or free[0].verb} before it, too; say it for each"
-            )
+            raise said.error(f"has {value}, which can belong to {free[0].verb} before it, too; say it for each")
         for action in free:
             action.amounts, action.stays = {name: said.amounts[name]}, said.stays
 
-    def _unit(self, unit: list[Action]) -> Groups:
-        """Return the groups of actions with one verb: what is said behind the last one belongs to all of them."""
-        last, name, several, rounds = unit[-1], unit[-1].last, len(unit) > 1, 1
-        each, in_turn = "EACH" in last.words, several and any("ALTERNATE" in said.words for said in unit)
-        last.refuse(any(said.pause for said in unit[:-1]), "comes behind a pause between parts; put the pause last")
-        either = in_turn and "times" in last.amounts and not each
-        last.refuse(either, "can count single moves or pairs; say how many for each hand")
-        lacking = [said for said in unit[:-1] if name and name not in said.amounts]
-        in_rounds = lacking and name == "times" and not each and unit[0].kind in MOVES
-        if lacking and (len(lacking) < len(unit) - 1 or (not in_rounds and any(said.amounts for said in lacking))):
-            raise last.error(f"says {name} for a part of what is joined; say it for each")
-        if in_rounds:
-            rounds, lacking = int(last.amounts.pop("times")), []
-        for said in lacking:
-            said.amounts, said.stays = dict(last.amounts), last.stays
-        for said in unit if in_turn else ():
-            said.words.pop("ALTERNATE", None)
-        if several and "HAND" in last.words and not any(said.ways for said in unit[:-1]):
-            for said in unit:
-                said.ways |= last.ways
-        paced = [said for said in unit if said.words.keys() & PACES.keys()]
-        if len(paced) == 1:
-            for said in unit:
-                said.words |= {kind: paced[0].words[kind] for kind in PACES if kind in paced[0].words}
-        groups: Groups = []
-        for said in unit:
-            new = _repeated(said, self._action(said), several)
-            for other in said.along:
-                new = _together(new, self._along(said, other))
-            if groups and len(new) == 1 == len(new[0]) and not in_turn and _at_once(groups[-1], new[0][0]):
-                groups[-1] += new[0]
-            else:
-                groups += new
-        if len(groups) > 1 and lacking and not each and name in ("seconds", "times"):
-            last.refuse(name == "seconds", "has one time for two things one after the other; say it for each")
-            groups = [[replace(a, amounts={**a.amounts, "times": 1.0}) for a in group] for group in groups]
-            rounds = int(last.amounts["times"])
-        return _apart(groups * rounds, last.pause) if several else groups
+    # ------------------------------------------------------------------ clauses with one verb
 
-    def _along(self, said: Action, other: Action) -> Groups:
-        """Return what is said without a joint: "walk forward waving", "with both hands up"."""
-        if said.kind == "STOP" and other.word.endswith("ing"):
-            if other.kind in MOVES and not (other.words or other.amounts):
-                return []
-            raise SourceError(f"'stop {other.word}' is not something the phrasebook does; say what to do instead")
-        if other.word != "with" and not other.word.endswith("ing"):
-            raise SourceError(f"'{other.word}' follows '{said.word}' without 'then', 'and' or 'while' between them")
-        if other.word == "with" and said.verb in GESTURES and not said.words.keys() & {"HAND", "LEFT", "RIGHT"}:
-            raise said.error("does not say which hand; say left hand, right hand or both hands")
-        return [[self._action(other)]]
+    def _unit(self, unit: list[Clause]) -> Groups:
+        """Return the groups of clauses with one verb: what is said behind the last one belongs to all of them."""
+        groups = self._switch(unit[0])
+        if unit[0].kind == "SWITCH":
+            return groups
+        rounds, shared = _share(unit)
+        own: Groups = []
+        in_turn = len(unit) > 1 and any(clause.words.pop("ALTERNATE", None) for clause in unit)
+        for clause in unit:
+            new = self._clause(clause, len(unit) > 1)
+            if own and not in_turn and len(new) == 1 == len(new[0]) and _at_once(own[-1], new[0][0]):
+                own[-1] += new[0]
+            else:
+                own += new
+        if len(own) > 1 and shared in ("seconds", "times") and not unit[-1].has("EACH"):
+            unit[-1].refuse(shared == "seconds", "has one time for two things one after the other; say it for each")
+            own = [[replace(action, amounts={**action.amounts, "times": 1.0}) for action in group] for group in own]
+            rounds = int(unit[-1].amounts["times"])
+        return [*groups, *(_apart(own * rounds, unit[-1].pause) if len(unit) > 1 else own)]
+
+    def _clause(self, now: Clause, several: bool) -> Groups:
+        """Return the groups of one clause."""
+        action = self._action(now)
+        groups = _in_turn(now, action) if _is_in_turn(now, action) else _with_pauses(now, action, several)
+        for pose in now.along:
+            unclear = action.verb in GESTURES and not now.has("HAND", "LEFT", "RIGHT")
+            now.refuse(unclear, "does not say which hand; say left hand, right hand or both hands")
+            groups = _together(groups, [[self._action(pose)]])
+        return groups
+
+    def _again(self, now: Clause, groups: Groups) -> Groups:
+        """Return all groups once more, or as often as is said."""
+        now.refuse(not groups, "has nothing to repeat")
+        times, more = now.amounts.get("times", 1.0), now.has("MORE")
+        unclear = len(groups) > 1 and now.kind != "REPEAT_ALL" and not now.has("TOTAL")
+        now.refuse(unclear, "can mean all or the last thing; say repeat everything")
+        unclear = times > 1 and not more and not now.has("TOTAL")
+        now.refuse(unclear, f"can mean {times:g} or {times + 1:g} times in all; say {times:g} times in total")
+        for side in BOTH:
+            ways = [
+                action.way for group in groups for action in group if side in action.sides and not action.moves_base
+            ]
+            if ways and ways[0] and ways[0] == ways[-1]:
+                raise now.error(f"finds the {side} hand {ways[0]} already; say what it does before")
+        return groups * int(times - 1 if now.has("TOTAL") else times)
+
+    def _switch(self, now: Clause | None) -> Groups:
+        """Return what a "switch" before this clause asks for: the same with the other hand, or only that hand next."""
+        pending, self.switched = self.switched, now is not None and now.kind == "SWITCH"
+        lasts = self.before is not None and self.before.verb in ("walk", *GESTURES) and not self.before.amounts
+        if now is not None and now.rule == "still" and now.text.startswith("after"):
+            now.refuse(lasts, "does not say for how long it goes on before; say it, then what comes next")
+        if self.switched and now is not None:
+            one = self.before is not None and not self.before.moves_base and len(self.hands) == 1
+            now.refuse(not one, "does not say from which hand; say with which hand to go on")
+        if not pending or self.before is None:
+            return []
+        self.hands = (OPPOSITE[self.hands[0]],)
+        if now is not None and now.rule == "gesture" and not now.has("HAND", "LEFT", "RIGHT"):
+            now.words["HAND"] = [f"{self.hands[0]} hand"]
+            return []
+        other = replace(self.before, sides=self.hands)
+        group = [other]
+        if other.verb == "place":
+            group.append(Action(verb="place", sides=self.before.sides, way="down"))
+        self.before = other
+        return [group]
 
     # ------------------------------------------------------------------ one action
 
-    def _action(self, now: Action) -> Action:
-        """Return an action with its verb, hands and way."""
-        self._complete(now)
+    def _action(self, now: Clause) -> Action:
+        """Return the action of a clause."""
+        if not now.kind:
+            self._inherit(now)
+        if now.has("RELATIVE"):
+            self._relate(now)
         paces = [PACES[kind] for kind in now.words if kind in PACES for _ in now.words[kind]]
-        now.refuse(len(paces) > 1 or (paces and "m/s" in now.amounts), "has two speeds; say one")
-        now.speed = (*paces, 1.0)[0]
-        if "bare" in now.amounts:
-            value = now.amounts.pop("bare")
-            if now.kind != "TURN" or value < 10:
-                raise now.error(
-                    f"has the number {value:g} without a unit; say seconds, times, steps, degrees or metres"
-                )
-            now.amount("degrees", value)
-        now.refuse("IN_PLACE" in now.words and now.kind != "TURN", "stays in place; only 'turn' and 'stay' do")
-        for word in now.words.get("GREETING", []):
-            now.refuse(now.kind != "WAVE", f"has {word!r}, which only goes with 'wave'")
-        now.verb = now.kind.lower()
-        (self._base if now.verb in BASE else self._of_hands)(now)
-        for name, value in now.amounts.items():
-            if name not in TAKES[now.verb]:
-                takes = ", ".join(TAKES[now.verb])
-                raise now.error(f"has {value:g} {name}, which {now.word!r} does not use; it takes {takes}")
-        for much in ({"metres", "seconds", "m/s"}, {"times", "metres"}):
-            now.refuse(much <= now.amounts.keys(), f"says too much at once: {', '.join(now.amounts)}")
-        self.hands = self.hands if now.moves_base else now.sides
-        self.before = now
-        return now
+        now.refuse(len(paces) > 1 or (paces and "mps" in now.amounts), "has two speeds; say one")
+        speed = paces[0] if paces else 1.0
+        action = self._base(now, speed) if _moves_base(now) else self._of_hands(now, speed)
+        takes = _takes(action)
+        for name, value in action.amounts.items():
+            now.refuse(name not in takes, f"has {value:g} {name}; {action.verb} takes {', '.join(takes)}")
+        for much in ({"metres", "seconds", "mps"}, {"times", "metres"}):
+            now.refuse(much <= action.amounts.keys(), f"says too much at once: {', '.join(action.amounts)}")
+        greeting = now.words.get("GREETING", [""])[0]
+        now.refuse(greeting and action.verb != "wave", f"has {greeting!r}, which only goes with 'wave'")
+        if not action.moves_base:
+            self.hands = action.sides
+            self.at |= dict.fromkeys(action.sides, action.way)
+        self.walk = action if action.verb in ("walk", "step") else self.walk
+        self.before, self.said = action, now
+        return action
 
-    def _complete(self, now: Action) -> None:
-        """Find the verb of an action without one: "left hand up", "then the right"; tell moving a hand from walking."""
-        before, hand, side = self.before, "HAND" in now.words, bool(now.words.keys() & {"LEFT", "RIGHT"})
-        if now.word == "after" and before and before.verb in ("walk", *GESTURES) and not before.amounts:
-            raise before.error("does not say for how long; say it, then what comes next")
-        if now.kind == "TURN_AROUND":
-            now.kind = "TURN"
-            now.amount("degrees", 180.0)
-        elif now.kind == "MOVE":
-            now.kind = "PLACE" if hand else "WALK"
-        elif now.kind == "HOLD":
-            now.kind = "PLACE" if now.ways else "WAIT"
-            if now.kind == "WAIT":  # "hold it", "hold your arms there": nothing moves
-                now.words = {kind: said for kind, said in now.words.items() if kind not in ("HAND", "LEFT", "RIGHT")}
-        elif not now.kind and hand and now.ways:
-            now.kind = now.word = "PLACE"
-        if now.kind:
+    def _inherit(self, now: Clause) -> None:
+        """Find the verb of a clause without one: "left hand up", "then the right", "and half of that back"."""
+        before, said = self.before, self.said
+        if now.ways and (now.has("HAND") or (now.has("LEFT", "RIGHT") and not (before and before.moves_base))):
+            now.kind = "PUT"
             return
-        if before is None:
-            raise now.error(f"has no verb; begin with {VERBS}")
-        if before.verb == "place" and now.ways and not (hand or side):
-            now.kind, now.word, now.words["HAND"] = "PLACE", "move", ["them"]
+        if before is None or said is None:
+            raise now.error(f"has no verb; begin with {VERBS_SAID}")
+        if before.verb == "place" and now.ways and not now.has("HAND", "LEFT", "RIGHT"):
+            now.kind, now.words["HAND"] = "PUT", ["them"]
             return
+        self._go_on(now, before, said)
+
+    def _go_on(self, now: Clause, before: Action, said: Clause) -> None:
+        """Give a clause without a verb the verb of the clause before, and what else it does not say."""
         counts = "times" in before.amounts and "bare" in now.amounts
-        if before.moves_base:
-            goes_on = before.verb in ("walk", "step") and not side and (counts or bool(now.ways))
-            fits = not hand and (goes_on or (before.verb == "turn" and side and not now.ways))
-        else:
-            fits = (side or hand) and not now.ways
-        now.refuse(not fits, f"has no verb; begin with {VERBS}")
+        goes_on = {"walk": WAYS_ONLY, "step": WAYS_ONLY, "turn": {(False, True, False)}}.get(before.verb, HANDS_ONLY)
+        given = (now.has("HAND"), now.has("LEFT", "RIGHT"), bool(now.ways) or (counts and before.moves_base))
+        now.refuse(given not in goes_on, f"has no verb; begin with {VERBS_SAID}")
+        unclear = before.verb == "wave" and not (counts or now.has("HAND") or said.has("HAND"))
+        now.refuse(unclear, "can mean two things; say with which hand, or with both hands")
         if counts:
             now.amount("times", now.amounts.pop("bare"))
-        now.refuse(before.amounts and not now.amounts, "does not say how far, how long or how often; say it for each")
-        if before.verb == "wave" and not (hand or "HAND" in before.words):
-            raise SourceError("'wave left and right' can mean two things; say with which hand, or with both hands")
-        now.kind, now.word = before.kind, before.word
-        for kind in now.words.keys() & {"LEFT", "RIGHT"} if not before.moves_base else ():
-            now.words["HAND"] = [f"{kind.lower()} hand" for _ in now.words.pop(kind)] + now.words.get("HAND", [])
-        if not now.words.keys() & PACES.keys():
-            now.words |= {kind: said for kind, said in before.words.items() if kind in PACES}
-        now.ways = now.ways or (set(before.ways) if counts or not before.moves_base else set())
+        if now.has("SAME"):
+            now.amounts = before.amounts | now.amounts
+        unsaid = before.amounts and not (now.amounts or now.has("RELATIVE"))
+        now.refuse(unsaid, "does not say how far, how long or how often; say it for each")
+        now.kind = said.kind
+        kept = set() if now.has(*PACES) else PACES.keys() & said.words.keys()
+        now.words |= {kind: said.words[kind] for kind in kept}
+        if counts or not before.moves_base:
+            now.ways = now.ways or set(said.ways)
 
-    def _base(self, now: Action) -> None:
+    def _relate(self, now: Clause) -> None:
+        """Turn "twice as far" and "half of that" into an amount of what was said before."""
+        words = now.words["RELATIVE"][0].split()
+        factor = number(" ".join(words[:1])) if words[0] in NUMBERS else 1.0
+        names = {FURTHER[word] for word in words[1:] if word in FURTHER} or set(
+            self.before.amounts if self.before else ()
+        )
+        last = self.walk if names == {"metres"} else self.before
+        before = last.amounts if last else {}
+        name = next(iter(names & before.keys()), "")
+        if names == {"metres"} and not name:  # "step twice, then half as far back", "walk for 2 seconds, then …"
+            name = next((other for other in ("times", "seconds") if other in before), "")
+        now.refuse(not name, "compares with nothing that was said before; say how far, how long or how often")
+        now.amount(name, factor * before[name])
+
+    def _base(self, now: Clause, speed: float) -> Action:
+        now.refuse(speed > PACES["FAST"], "is faster than the robot walks or turns; say quickly, or a speed")
+        now.refuse(now.has("HAND") and now.kind != "HOLD", "is not something a hand does")
+        if now.kind in ("STOP", "WAIT", "HOLD"):
+            return Action(verb="wait", way=now.kind.lower(), amounts=dict(now.amounts))
+        verb = {"STEP": "step", "WALK": "walk", "MOVE": "walk"}.get(now.kind, "turn")
+        if now.has("LITTLE"):
+            now.amount(*LITTLE[verb])
+        if verb == "turn":
+            return self._turn(now, speed)
+        sides = [kind.lower() for kind in ("LEFT", "RIGHT") if kind in now.words]
+        now.refuse(sides, f"goes sideways, and the robot does not {verb} sideways; turn {'/'.join(sides)} first")
+        wrong = not now.ways <= {"forward", "back"} or len(now.ways) > 1
+        now.refuse(wrong, f"has directions in which the robot does not {verb}; say forward or back")
+        way = next(iter(now.ways), "forward")
+        return Action(verb=verb, way=way, amounts=dict(now.amounts), speed=speed)
+
+    def _turn(self, now: Clause, speed: float) -> Action:
         sides = [kind.lower() for kind in ("LEFT", "RIGHT") for _ in now.words.get(kind, [])]
-        now.refuse("HAND" in now.words or now.words.keys() & IN_TURN, f"is not something a hand does: to {now.word}")
-        now.refuse(now.speed > PACES["FAST"], "is faster than the robot walks or turns; say quickly, or a speed")
-        if now.verb == "turn":
-            degrees, turns = now.amounts.get("degrees"), [*self.turns, now]
-            if now.ways == {"back"} and len(self.turns) == 1 and not sides and not degrees:
-                sides, degrees = [OPPOSITE[turns[0].sides[0]]], turns[0].amounts.get("degrees", 90.0)
-                now.amounts["degrees"], now.ways, turns = degrees, set(), []
-            now.refuse(now.ways - {"around"}, "is not something the robot does; it turns left or right")
-            now.refuse(now.ways and degrees is None, "does not say how far; say turn around, or a number of degrees")
-            if len(sides) > 1 or not (sides or degrees in (180.0, 360.0)):
-                raise now.error("does not say where to turn; say turn left, or turn right 60 degrees")
-            now.sides, self.turns = (*sides, "left")[:1], turns
-            return
-        if sides:
-            raise now.error(f"goes sideways, and the robot does not {now.word} sideways; turn {sides[0]} first")
-        if now.verb in ("stop", "wait") and (now.ways or now.speed != 1.0):
-            raise now.error(f"has more than a time, and to {now.word} takes nothing else")
-        if not now.ways <= {"forward", "back"} or len(now.ways) > 1:
-            raise now.error(f"has directions in which the robot does not {now.word}; say forward or back")
-        now.way = (*now.ways, "forward" if now.verb in ("walk", "step") else "")[0]
+        amounts, turns = dict(now.amounts), [*self.turns]
+        if "bare" in amounts:
+            value = amounts.pop("bare")
+            now.refuse(value < 10, f"has the number {value:g} without a unit; say degrees, steps or seconds")
+            amounts["degrees"] = value
+        if now.kind == "TURN_AROUND":
+            amounts.setdefault("degrees", 180.0)
+        elif now.kind == "SPIN" or "times" in amounts:
+            now.refuse(
+                now.kind == "TURN" and now.last == "times", f"has {amounts.get('times', 0):g} times; say degrees"
+            )
+            now.refuse("times" in amounts and "degrees" in amounts, "says how far in two ways; say degrees")
+            amounts.setdefault("degrees", 360.0 * amounts.pop("times", 1.0))
+        degrees = amounts.get("degrees")
+        if now.ways == {"back"} and len(turns) == 1 and not sides and not degrees:
+            sides, amounts["degrees"] = [OPPOSITE[turns[0].sides[0]]], turns[0].amounts.get("degrees", 90.0)
+            self.turns = []
+            return Action(verb="turn", sides=(sides[0],), amounts=amounts, speed=speed)
+        now.refuse(now.ways - {"around"}, "is not something the robot does; it turns left or right")
+        now.refuse(now.ways and degrees is None, "does not say how far; say turn around, or a number of degrees")
+        unclear = len(sides) > 1 or not (sides or degrees in (180.0, 360.0) or now.kind == "SPIN")
+        now.refuse(unclear, "does not say where to turn; say turn left, or turn right 60 degrees")
+        action = Action(verb="turn", sides=(*sides, "left")[:1], amounts=amounts, speed=speed)
+        self.turns.append(action)
+        return action
 
-    def _of_hands(self, now: Action) -> None:
-        now.sides = self._sides(now)
-        needs = now.kind in ("PLACE", "EXTEND", "STRETCH") and "HAND" not in now.words
-        now.refuse(needs, f"does not say what to {now.word}; say left hand, right hand or both hands")
-        if now.word in ("open", "opening") and re.search("hand|fist", " ".join(now.words.get("HAND", []))):
-            raise now.error("needs fingers, and the robot has none; say open the left arm, right arm or both arms")
-        if now.verb in ("wave", "punch"):
-            if not now.ways <= ({"up and down", "up"} if now.verb == "wave" else {"forward"}):
-                raise now.error(f"has {', '.join(sorted(now.ways))!r}, which {now.word!r} does not take")
-        elif now.verb == "cycle" or (now.ways == {"up and down"} and now.verb in ("raise", "place")):
-            now.verb = "cycle"
+    def _of_hands(self, now: Clause, speed: float) -> Action:
+        now.refuse("bare" in now.amounts, f"has the number {now.amounts.get('bare', 0):g} without a unit; say times")
+        amounts = dict(now.amounts)
+        action = Action(verb="", sides=self._sides(now), amounts=amounts, stays=now.stays, speed=speed, every=now.every)
+        if now.every:
+            now.refuse(not amounts, "does not say how long or how often")
+            amounts["times"] = amounts.get("times") or max(1.0, round(amounts["seconds"] / now.every))
+            amounts["seconds"] = now.every * amounts["times"]
+        if now.kind == "GUARD":
+            action.verb, action.way = "place", "guard"
+        elif now.rule == "gesture" or now.kind in ("WAVE", "PUNCH", "ONE_TWO", *BOXED):
+            action.verb = BOXED.get(now.kind, ("punch" if now.kind == "ONE_TWO" else now.kind.lower(), ""))[0]
+            allowed = {"wave": {"up and down", "up"}, "cycle": {"up and down", "up"}}.get(action.verb, {"forward"})
+            now.refuse(now.ways - allowed, f"has {', '.join(sorted(now.ways))!r}, which {action.verb!r} does not take")
         else:
-            ways = now.ways - {"out"} if now.ways & {"forward", "side"} else now.ways
-            found = POSTURES[now.kind]
-            if " ".join(sorted(ways)) not in found:
-                raise now.error(f"needs one direction for {now.word!r}: {', '.join(sorted(filter(None, found)))}")
-            now.way = found[" ".join(sorted(ways))]
-            again = now.amounts.get("times", 1.0) != 1.0
-            unclear = again and "seconds" in now.amounts and now.stays
-            now.refuse(unclear, "says how often and for how long; say 'in' and the time of all")
-            now.verb = "cycle" if again and now.verb == "raise" and now.way == "up" else "place"
-            now.amounts = {n: v for n, v in now.amounts.items() if now.verb != "place" or (n, v) != ("times", 1.0)}
+            self._place(now, action)
+        return action
 
-    def _sides(self, now: Action) -> tuple[str, ...]:
-        """Return the hands that an action names."""
-        named = [said for kind in ("HAND", "LEFT", "RIGHT") for said in now.words.get(kind, [])]
-        if now.words.keys() & IN_TURN:
-            now.refuse(now.words.keys() & {"LEFT", "RIGHT"}, "is not something that both hands do in turn")
+    def _place(self, now: Clause, action: Action) -> None:
+        kind = "PLACE" if now.kind in ("MOVE", "HOLD", "PUT") else now.kind
+        hands = " ".join(now.words.get("HAND", []))
+        now.refuse(not hands and kind in ("EXTEND", "STRETCH"), "does not say which hand")
+        wrong = kind == "OPEN" and any(word in hands for word in ("hand", "fist"))
+        now.refuse(wrong, "needs fingers, and the robot has none; say open the left arm, right arm or both arms")
+        action.verb = "cycle" if now.ways == {"up and down"} and kind in ("RAISE", "PLACE") else "place"
+        if action.verb == "cycle":
+            return
+        ways = now.ways - {"out"} if now.ways & {"forward", "side"} else now.ways
+        found, way = POSTURES[kind], " ".join(sorted(ways))
+        now.refuse(way not in found, f"needs one direction: {', '.join(sorted(filter(None, found)))}")
+        action.way = found[way]
+        times = action.amounts.get("times", 1.0)
+        unclear = times > 1 and "seconds" in action.amounts and action.stays
+        now.refuse(unclear, "says how often and for how long; say 'in' and the time of all")
+        if times > 1 and kind == "RAISE" and action.way == "up":
+            action.verb, action.way = "cycle", ""
+        elif times == 1.0:
+            action.amounts.pop("times", None)
+        there = now.has("AGAIN") and all(self.at.get(side) == action.way for side in action.sides)
+        now.refuse(there, f"finds the hand {action.way} already; say what it does before")
+
+    def _sides(self, now: Clause) -> tuple[str, ...]:
+        """Return the hands that a clause names."""
+        named = [word for kind in ("HAND", "LEFT", "RIGHT") for word in now.words.get(kind, [])]
+        if now.has(*IN_TURN) or now.kind in ("ONE_TWO", "GUARD"):
+            now.refuse(now.has("LEFT", "RIGHT"), "is not something that both hands do in turn")
             return BOTH
         now.refuse(len(named) > 1, "names more than one hand; join them with 'and' or 'then'")
-        if not named and now.kind in ("WAVE", "PUNCH"):
-            return self.hands or ("right",)
-        hand = (*named, "no")[0]
-        first = "right" if "RIGHT" in now.words else "left" if "LEFT" in now.words else hand.split()[0]
+        if named:
+            return self._named(now, named[0])
+        if now.kind in BOXED:
+            return (BOXED[now.kind][1],)
+        unclear = now.kind not in ("WAVE", "PUNCH", "HIGH_FIVE") and not (self.hands and now.kind in ("LOWER", "CLOSE"))
+        now.refuse(unclear, "does not say which hand; say left hand, right hand or both hands")
+        return self.hands or ("right",)
+
+    def _named(self, now: Clause, hand: str) -> tuple[str, ...]:
+        """Return the hands of a phrase such as "the other one"."""
+        first = "right" if now.has("RIGHT") else "left" if now.has("LEFT") else hand.split()[0]
         if first in ("both", "two", "each") or " and " in hand:
             return BOTH
         if first in OPPOSITE:
@@ -518,76 +687,147 @@ class _Reader:
             return (OPPOSITE[self.hands[0]],)
         if self.hands and (first == "them" or (first == "it" and len(self.hands) == 1)):
             return self.hands
-        unclear = first in ("no", "it", "them", "other")
+        unclear = first in ("it", "them", "other")
         now.refuse(unclear, "does not say which hand; say left hand, right hand or both hands")
         if first in ("one", "either", "any"):
             return ("right",)
-        last = self.hands if now.kind in ("LOWER", "PLACE") else ()
+        last = self.hands if now.kind in ("LOWER", "PLACE", "PUT", "MOVE", "CLOSE") else ()
         return BOTH if hand.endswith("s") else last or ("right",)
 
 
-def _amount(now: Action, tokens: list[Any]) -> str:
-    """Note an amount with its unit; return its name."""
-    kinds = {token.type: token for token in tokens}
-    now.stays = "IN" not in kinds
-    name, factor = next((UNITS[kind] for kind in kinds if kind in UNITS), ("times", 1.0))
-    now.amount(name, factor * (number(kinds.get("NUMBER") or kinds["ONCE"]) + 0.5 * ("AND_HALF" in kinds)))
-    now.words |= {"EACH": ["each"]} if "EACH" in kinds else {}
-    return name
+class _Item:
+    """Clauses joined by "and", what is done meanwhile, and how often all of it."""
+
+    def __init__(self, tree: Tree[Any]) -> None:
+        self.leads = tree.data == "meanwhile"
+        parts = tree.children[::-1] if self.leads else tree.children
+        self.clauses = _clauses(parts[0])
+        self.during = _clauses(parts[1]) if len(parts) > 1 else []
+        self.clear = (
+            len(parts) > 1 and getattr(parts[1], "data", "") == "doing"
+        )  # whether it must be clear with what it goes
+        self.rounds = 1
+
+    def add(self, more: _Item) -> None:
+        """Add a bare item behind a comma."""
+        bare, last = more.clauses[0], self.clauses[-1]
+        times = int(bare.amounts.get("times", 0))
+        if len(self.clauses) > 1 and times and all(clause.amounts for clause in self.clauses) and not bare.has("EACH"):
+            self.rounds = times
+        else:
+            last.add(bare)
+        self.clauses += more.clauses[1:]
 
 
-def _counted(now: Action, tokens: list[Any]) -> None:
-    """Note "two steps", "three left jabs" or "a half turn"."""
-    noun = tokens[-1]
-    if noun.type in UNITS:
-        now.kind, now.word = now.kind or "TURN", now.word or str(noun)
-        return now.amount(*UNITS[noun.type])
-    if noun.type == "TURN" and now.kind == "" and tokens[1].type == "DEGREES":
-        now.kind, now.word = "TURN", "turn"
-        now.words |= {token.type: [str(token)] for token in tokens[2:-1]}
-        return now.amount("degrees", number(tokens[0]))
-    if noun.type == now.kind == "TURN" and len(tokens) == 2:
-        return now.amount("degrees", 360.0 * number(tokens[0]))
-    if noun.type == "TURN" or not (now.kind in ("", noun.type) or (noun.type == "STEP" and now.kind in MOVES)):
-        raise now.error(f"has {' '.join(tokens)}; say how far, how often or how many degrees")
-    now.kind, now.word = noun.type, str(noun)
-    for token in tokens[1:-1]:
-        now.words.setdefault(token.type, []).append(str(token))
-    return now.amount("times", number(tokens[0]))
+def _clauses(tree: Tree[Any] | Clause) -> list[Clause]:
+    """Return the clauses of a tree in their order."""
+    if isinstance(tree, Clause):
+        return [tree]
+    return [clause for child in tree.children for clause in _clauses(child)]
 
 
-def _repeated(said: Action, action: Action, several: bool) -> Groups:
-    """Return an action hand by hand where it is said so, and with pauses in between."""
-    times, seconds, words = action.amounts.get("times"), action.amounts.get("seconds"), said.words
-    by_hand = words.get("HAND", [""])[0].startswith("each") and action.verb != "place"
-    if not (words.keys() & IN_TURN or by_hand):
-        if "EACH" in words and len(action.sides) != 2 and not several:
-            raise said.error("has 'each' for one thing; say it for each, with 'then'")
-        if not said.pause or several:
-            return [[action]]
-        said.refuse(not times, "has a pause between nothing; say what comes before and behind it")
-        return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * int(times or 1), said.pause)
-    pair = words.get("LEFT_AND_RIGHT", [""])[0] == "one two"
-    each, once = by_hand or pair or "EACH" in words, action.amounts if by_hand else {"times": 1.0}
-    unclear = seconds and (times or each or said.pause or action.verb == "place")
-    said.refuse(unclear, "has a time for hands in turn; say how often instead")
-    if said.last == "times" and said.text.startswith("alternat") and "EACH" not in words:
-        raise said.error("can count single moves or pairs; say how many for each hand")
-    if "ONE_EACH" in words and times not in (None, 2.0):
-        raise said.error(f"says {times:g} times and once for each of two hands")
-    order = BOTH[::-1] if words.get("LEFT_AND_RIGHT", [""])[0].startswith("right") else BOTH
+def _moves_base(now: Clause) -> bool:
+    """Return whether a clause is about the base: "move forward", but "move the left hand up"."""
+    if now.kind in ("MOVE", "HOLD"):
+        return now.rule != "place"
+    return now.kind in ("STEP", "WALK", "STOP", "WAIT", "TURN", "SPIN", "TURN_AROUND")
+
+
+def _takes(action: Action) -> tuple[str, ...]:
+    """Return the amounts that an action takes."""
+    if action.verb in GESTURES:
+        return ("times", "seconds")
+    moves = {
+        "step": ("times", "seconds", "metres", "mps"),
+        "walk": ("seconds", "metres", "mps"),
+        "turn": ("degrees", "seconds"),
+    }
+    return moves.get(action.verb, ("seconds",))
+
+
+def _share(unit: list[Clause]) -> tuple[int, str]:
+    """Give what is said behind the last of several clauses to all; return how often all is done, and what is shared."""
+    last, others = unit[-1], unit[:-1]
+    last.refuse(any(clause.pause for clause in others), "comes behind a pause between parts; put the pause last")
+    if not others:
+        return 1, ""
+    _share_words(unit)
+    rounds, name = _rounds(unit)
+    lacking = [clause for clause in others if name and name not in clause.amounts]
+    partly = lacking and (len(lacking) < len(others) or any(clause.amounts for clause in lacking))
+    last.refuse(partly, f"says {name} for a part of what is joined; say it for each")
+    for clause in lacking:
+        clause.amounts, clause.stays = dict(last.amounts), last.stays
+    return rounds, name if lacking else ""
+
+
+def _share_words(unit: list[Clause]) -> None:
+    """Give the one pace of clauses to all, and the way behind the last hand to the hands before."""
+    last, others = unit[-1], unit[:-1]
+    paced = [clause for clause in unit if clause.has(*PACES)]
+    for clause in unit if len(paced) == 1 else ():
+        clause.words |= {kind: words for kind, words in paced[0].words.items() if kind in PACES}
+    if last.has("HAND") and not any(clause.ways for clause in others):
+        for clause in others:
+            clause.ways |= last.ways
+
+
+def _rounds(unit: list[Clause]) -> tuple[int, str]:
+    """Return how often clauses of the base are done, all in turn, and the amount behind the last that is left."""
+    last, others = unit[-1], unit[:-1]
+    name, each = last.last, last.has("EACH")
+    either = any(clause.has("ALTERNATE") for clause in unit) and "times" in last.amounts and not each
+    last.refuse(either, "can count single moves or pairs; say how many for each hand")
+    moves = unit[0].kind in ("STEP", "WALK", "MOVE", "TURN") and not any("times" in clause.amounts for clause in others)
+    if not moves or "times" not in last.amounts or (each and name == "times"):
+        return 1, name
+    return int(last.amounts.pop("times")), "" if name == "times" else name
+
+
+def _is_in_turn(now: Clause, action: Action) -> bool:
+    return now.has(*IN_TURN) or now.kind == "ONE_TWO" or _by_hand(now, action)
+
+
+def _by_hand(now: Clause, action: Action) -> bool:
+    """Return whether each hand does all of it: "wave twice with each hand"."""
+    return now.words.get("HAND", [""])[0].startswith("each") and action.verb != "place"
+
+
+def _with_pauses(now: Clause, action: Action, several: bool) -> Groups:
+    """Return an action as often as it is said, with pauses in between."""
+    now.refuse(now.has("EACH") and len(action.sides) != 2 and not several, "has 'each' for one thing; say it for each")
+    if not now.pause or several:
+        return [[action]]
+    times = int(action.amounts.get("times", 0))
+    now.refuse(not times, "has a pause between nothing; say what comes before and behind it")
+    return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * times, now.pause)
+
+
+def _in_turn(now: Clause, action: Action) -> Groups:
+    """Return an action hand by hand."""
+    by_hand, times, seconds = _by_hand(now, action), action.amounts.get("times"), action.amounts.get("seconds")
+    pair = now.kind == "ONE_TWO"
+    each = by_hand or pair or now.has("EACH")
+    once = action.amounts if by_hand else {"times": 1.0}
+    unclear = seconds and (times or each or now.pause or action.verb == "place")
+    now.refuse(unclear, "has a time for hands in turn; say how often instead")
+    either = now.last == "times" and now.text.startswith("alternat") and not now.has("EACH")
+    now.refuse(either, "can count single moves or pairs; say how many for each hand")
+    now.refuse(now.has("ONE_EACH") and times not in (None, 2.0), "says once for each of two hands, and another count")
+    rights = now.words.get("LEFT_AND_RIGHT", [""])[0].startswith("right")
+    order = BOTH[::-1] if rights else BOTH
     count = (1 if by_hand else int(times or 1)) * 2 if each else int(times or 2)
     if seconds:
         count = max(2, round(seconds * action.speed / ONE_GESTURE))
         once = {"times": 1.0, "seconds": seconds / count}
     once = {} if action.verb == "place" else once
-    return _apart([[replace(action, sides=(order[n % 2],), amounts=dict(once))] for n in range(count)], said.pause)
+    return _apart([[replace(action, sides=(order[n % 2],), amounts=dict(once))] for n in range(count)], now.pause)
 
 
 def _at_once(group: list[Action], action: Action) -> bool:
     """Return whether "and" means at the same time: other hands, or hands and a walk without an end."""
     (other,) = group if len(group) == 1 else (action,)
-    if len(group) > 1 or action.verb == other.verb == "punch":
+    if len(group) > 1 or {action.verb, other.verb} <= {"punch", "hook", "uppercut"}:
         return False
     if other.moves_base != action.moves_base:
         base = other if other.moves_base else action
@@ -602,14 +842,19 @@ def _together(groups: Groups, more: Groups) -> Groups:
     group = [*groups[-1]]
     for action in (action for row in more for action in row):
         for other in group:
-            if other.moves_base == action.moves_base and (action.moves_base or set(other.sides) & set(action.sides)):
-                who = "the robot" if action.moves_base else f"the {action.sides[0]} hand"
-                raise SourceError(f"{who} cannot {other.verb} and {action.verb} at the same time")
+            _check_both(action, other)
         group.append(action)
-    for base in (a for a in group if a.verb in ("walk", "wait", "stop") and "seconds" in a.amounts):
-        free = [a for a in group if a.verb in GESTURES and not a.amounts]
-        group = [replace(a, amounts={"seconds": base.amounts["seconds"]}) if a in free else a for a in group]
+    for base in (action for action in group if action.verb in ("walk", "wait") and "seconds" in action.amounts):
+        seconds = {"seconds": base.amounts["seconds"]}
+        group = [replace(a, amounts=seconds) if a.verb in GESTURES and not a.amounts else a for a in group]
     return [*groups[:-1], group]
+
+
+def _check_both(action: Action, other: Action) -> None:
+    """Raise a SourceError if two actions cannot be done at the same time."""
+    if other.moves_base == action.moves_base and (action.moves_base or set(other.sides) & set(action.sides)):
+        who = "the robot" if action.moves_base else f"the {action.sides[0]} hand"
+        raise SourceError(f"{who} cannot {other.verb} and {action.verb} at the same time")
 
 
 def _apart(groups: Groups, pause: float) -> Groups:

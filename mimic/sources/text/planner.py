@@ -12,12 +12,11 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from mimic.config.pose import LanguageSettings
 from mimic.errors import ConfigError, MissingExtra, SourceError
-from mimic.io.keyframes import LARGEST, KeyFrames, frames_from, one_line
+from mimic.io.keyframes import LARGEST, KeyFrame, KeyFrames, frames_from, one_line
 from mimic.robot.reach import Reach
 from mimic.sources.text import prompts
 from mimic.sources.text.feasibility import violations
@@ -62,23 +61,32 @@ def plan(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFrames:
     return motion
 
 
-def describe(motion: KeyFrames) -> str:
-    """Return a plan as it was understood, in one line.
+def describe(motion: KeyFrames) -> Iterator[str]:
+    """Yield a plan as it was understood: a line for each step, with the time [s] at which it begins.
 
     The phrasebook says in each key frame what it understood. What a language model writes there proves nothing, so that
     its key frames are described with their numbers: duration, distance and turn.
     """
-    if motion.planner == "grammar":
-        return "; then ".join(part for part, _ in groupby(frame.what for frame in motion.frames))
-    parts, heading = [], 0.0
+    for word, meant in motion.typed:
+        yield f"read         {word!r} as {meant!r}"
+    t, heading, before = 0.0, 0.0, ""
     for frame in motion.frames:
-        turned = math.degrees(frame.heading - heading)
-        heading = frame.heading
-        ways = zip(("forward", "left"), (v * frame.duration for v in frame.velocity), strict=True)
-        done = [f"{distance:+.2g} m {name}" for name, distance in ways if abs(distance) >= 0.01]
-        done += [f"turn {'left' if turned > 0 else 'right'} {abs(turned):.0f}°"] if abs(turned) >= 1 else []
-        parts.append(f"{frame.duration:.2g} s: {', '.join([frame.what, *done] if frame.what else done) or 'stand'}")
-    return "; ".join(parts)
+        what = frame.what
+        if motion.planner != "grammar":
+            what = _numbers(frame, heading)
+        if what != before or motion.planner != "grammar":
+            yield f"{t:8.1f} s   {what}"
+        t, heading, before = t + frame.duration, frame.heading, what
+    yield f"{t:8.1f} s   end"
+
+
+def _numbers(frame: KeyFrame, heading: float) -> str:
+    """Return what a key frame does, in numbers."""
+    turned = math.degrees(frame.heading - heading)
+    ways = zip(("forward", "left"), (v * frame.duration for v in frame.velocity), strict=True)
+    done = [f"{distance:+.2g} m {name}" for name, distance in ways if abs(distance) >= 0.01]
+    done += [f"turn {'left' if turned > 0 else 'right'} {abs(turned):.0f}°"] if abs(turned) >= 1 else []
+    return f"{frame.duration:.2g} s: {', '.join([frame.what, *done] if frame.what else done) or 'stand'}"
 
 
 def check(motion: KeyFrames, reach: Reach, settings: LanguageSettings, prefix: str) -> None:

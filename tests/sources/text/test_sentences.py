@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from lab.sentences.checks import MORE, Sentence, does, sentences
+from lab.sentences.checks import MORE, SENTENCES, Sentence, does, sentences
 from mimic.errors import SourceError
 from mimic.io.keyframes import KeyFrames
 from mimic.robot.description import load_description
@@ -118,3 +118,15 @@ def test_the_checks_see_the_order(planned, reach):
     ]:
         (given, _), *_ = [item for item in planned if item[0].text == text]
         assert not does(plan_by_grammar(other, reach), given, reach)
+
+
+@pytest.mark.parametrize("name", ["people.txt", "people_2.txt"])
+def test_of_thirty_sentences_of_many_kinds_of_people_22_are_executed_and_none_is_wrong(name, reach):
+    outcomes = Counter()
+    for sentence in sentences(SENTENCES.with_name(name)):
+        try:
+            outcomes["right" if does(plan_by_grammar(sentence.text, reach), sentence, reach) else sentence.text] += 1
+        except SourceError:
+            outcomes["refused"] += 1
+    assert outcomes.keys() == {"right", "refused"}
+    assert outcomes["right"] >= 22
