@@ -172,7 +172,11 @@ def robot_xml() -> ET.Element:
     root = ET.Element("mujoco", model=ROBOT["name"])
     ET.SubElement(root, "compiler", angle="radian", autolimits="true", fusestatic="true")
     ET.SubElement(
-        root, "option", timestep=text(ROBOT["physics"]["timestep"]), integrator="implicitfast", cone="elliptic",
+        root,
+        "option",
+        timestep=text(ROBOT["physics"]["timestep"]),
+        integrator="implicitfast",
+        cone="elliptic",
         impratio="100",
     )
     defaults(root)

@@ -101,9 +101,7 @@ class ArmTorques:
             moments.append(_times(inertia, twist) + xp.linalg.cross(spin, momentum))
         torques = []
         for k, axis in enumerate(axes):
-            moment = sum(
-                moments[i] + xp.linalg.cross(centres[i] - places[k], forces[i]) for i in range(k, LEG)
-            )
+            moment = sum(moments[i] + xp.linalg.cross(centres[i] - places[k], forces[i]) for i in range(k, LEG))
             torques.append((axis * moment).sum(-1))
         return xp.stack(torques, -1)
 

@@ -17,9 +17,9 @@ from tensordict import TensorDict
 
 from mimic.config.rewards import REFINING_TERMS, RESTING_TERMS
 from mimic.config.training import MdpSettings
-from mimic.errors import ConfigError
 from mimic.dynamics.cuda_graphs import Replayed
 from mimic.dynamics.robot_model import command_in_effect
+from mimic.errors import ConfigError
 from mimic.geometry import heading_sin_cos, upright_cosine
 from mimic.io.store import plain
 from mimic.policy.contract import (
@@ -35,8 +35,8 @@ from mimic.policy.contract import (
     with_slow_mean,
 )
 from mimic.records import JOINTS, LEGS
-from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.arm_torques import ArmTorques
+from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN
 from mimic.robot.leg_kinematics import front_toes
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
@@ -79,6 +79,7 @@ squared changes of the action, drift [m], and speed of a hind toe on the ground 
 BEARS = 0.2
 """A foot is planted that bears this share of the robot's weight."""
 
+
 def kept_tensors(value: Any) -> dict[Any, torch.Tensor]:
     """Return the tensors of an attribute that have memory of their own."""
     items = value if isinstance(value, dict) else dict(enumerate(value if isinstance(value, list | tuple) else [value]))
@@ -94,7 +95,7 @@ def mean(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
 
 
 class StandTrackEnv(VecEnv, Chance):
-    """Worlds, as rsl_rl steps them, in which a robot stands up, and keeps a velocity and heading while its arms move."""
+    """Worlds, as rsl_rl steps them, in which a robot stands up, walks and turns as asked while its arms move."""
 
     soft_margin = np.deg2rad(8.0)
     """A joint nearer to its limit than this costs [rad]."""
@@ -237,7 +238,7 @@ class StandTrackEnv(VecEnv, Chance):
         return found
 
     def get_observations(self) -> TensorDict:
-        """Return what actor (policy) and critic see of each world, and 1 for actions that count, else 0 (own, N, 12)."""
+        """Return what actor (policy) and critic see, and 1 for actions that count, else 0 (own, N, 12)."""
         seen = {"policy": self._policy_obs, "critic": self._critic_obs, "own": self._own}
         return TensorDict({name: tensor.clone() for name, tensor in seen.items()}, batch_size=[self.num_envs])
 

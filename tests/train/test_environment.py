@@ -255,7 +255,9 @@ def test_a_world_that_explodes_is_started_again(env):
 def test_noise_is_on_measured_terms_only(description):
     quiet = make(description)
     noisy = make(description, noise_q=0.01, noise_axes=0.015, noise_gyro=0.2, noise_dq=0.9)
-    difference = np.abs(policy_observation(noisy) - policy_observation(quiet))[:, : quiet.settings.history * FRAME_SIZE].reshape(-1, FRAME_SIZE)
+    difference = np.abs(policy_observation(noisy) - policy_observation(quiet))[
+        :, : quiet.settings.history * FRAME_SIZE
+    ].reshape(-1, FRAME_SIZE)
     columns, rest = noisy.contract.columns, difference.copy()
     halves = {"joint_position": 0.01, "down": 0.015, "forward": 0.015, "gyro": 0.05, "joint_velocity": 0.045}
     for name, half in halves.items():
