@@ -342,7 +342,7 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
     """Say which unit or clock of the wrists cannot be true, whatever they were read from.
 
     Raises:
-        SourceError: If they are in no arm lengths.
+        SourceError: If they are in no arm lengths, or of a body that has no arms' length.
     """
     reach = np.linalg.norm(wrists.p_SH[wrists.valid], axis=-1)
     if len(reach) and not 0.2 <= (longest := float(np.quantile(reach, 0.98))) <= 2.0:
@@ -351,7 +351,10 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
             "the length of the arm"
         )
     if not LONGEST[0] <= wrists.arm_length <= LONGEST[1] and np.isfinite(wrists.arm_length):
-        yield f"the arms are {wrists.arm_length:.3g} m long: the positions are hardly in metres"
+        raise SourceError(
+            f"the arms are {wrists.arm_length:.3g} m long; expected {LONGEST[0]:g} to {LONGEST[1]:g} m: give the "
+            "positions in metres"
+        )
     step = np.linalg.norm(np.diff(wrists.p_SH, axis=0), axis=-1) / np.diff(wrists.t)[:, None]
     known = step[np.isfinite(step)]
     if len(known) and (speed := float(np.quantile(known, 0.9))) > FASTEST:

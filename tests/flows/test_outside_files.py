@@ -851,10 +851,15 @@ def test_times_of_wrists_in_another_unit_are_refused(rate, said):
     one_line(error, said)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"), [({"rate": 1500.0}, "arm lengths a second"), ({"arm": 600.0}, "600 m long"), ({}, None)]
-)
-def test_hands_that_are_too_fast_and_arms_too_long_are_said(change, said):
+@pytest.mark.parametrize(("change", "said"), [({"rate": 1500.0}, "arm lengths a second"), ({}, None)])
+def test_hands_that_are_too_fast_are_said(change, said):
     heard = Heard()
     retarget(wrists(**change), reporter=heard)
     assert any(said in text for text in heard.said) if said else not heard.said
+
+
+@pytest.mark.parametrize("arm", [0.0, 17.0, 600.0])
+def test_arms_of_no_persons_length_are_refused(arm):
+    with pytest.raises(SourceError) as error:
+        retarget(wrists(arm=arm))
+    one_line(error, f"{arm:g} m long")

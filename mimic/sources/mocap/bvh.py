@@ -83,9 +83,19 @@ def read_bvh(path: Path, settings: MocapSettings) -> Points:
     if frames != announced or len(values) % width:
         warnings.append(f"{path.name} announces {announced} frames and holds {len(values) / width:g}")
     values = values[: frames * width].reshape(frames, width)
+    kinds = np.array([kind for joint in joints for kind, _ in joint.channels])
+    largest = float(np.abs(values[:, kinds == "rotation"]).max(initial=0.0))
+    if 0.0 < largest <= 2.0 * math.pi:
+        warnings.append(
+            f"no joint turns by more than {largest:.3g} degrees; if these are radians, multiply them by 57.3: BVH has "
+            "degrees"
+        )
+    added = _are_displacements(joints, values)
+    if added:
+        warnings.append("its positions below the root are added to the offsets, for they are no bones by themselves")
     return Points(
         t=clock(frames, 1.0 / step if step else np.inf, settings, path),
-        xyz=_positions(joints, values),
+        xyz=_positions(joints, values, added),
         score=np.ones((frames, len(joints))),
         names=tuple(joint.name for joint in joints),
         warnings=tuple(warnings),
@@ -151,8 +161,26 @@ def _numbers(words: _Words, width: int) -> list[float]:
     return numbers
 
 
-def _positions(joints: list[_Joint], values: FloatArray) -> FloatArray:
-    """Return the joints' positions (T, N, 3) in the file's axes."""
+def _are_displacements(joints: list[_Joint], values: FloatArray) -> bool:
+    """Return whether positions of joints below the root move them from their offsets instead of taking their place."""
+    columns = iter(values.T)
+    bones = given = 0.0
+    for joint in joints:
+        own = [(kind, next(columns)) for kind, _ in joint.channels]
+        moved = [column for kind, column in own if kind == "position"]
+        if moved and joint.parent >= 0:
+            bones += float(np.linalg.norm(joint.offset))
+            given += float(np.linalg.norm(np.median(moved, axis=1)))
+    return given < 0.5 * bones
+
+
+def _positions(joints: list[_Joint], values: FloatArray, added: bool) -> FloatArray:
+    """Return the joints' positions (T, N, 3) in the file's axes.
+
+    Args:
+        joints, values: Of the file.
+        added: Positions below the root are added to the offsets; otherwise they take their place.
+    """
     from scipy.spatial.transform import Rotation
 
     places = np.empty((len(values), len(joints), 3))
@@ -161,8 +189,8 @@ def _positions(joints: list[_Joint], values: FloatArray) -> FloatArray:
         moved, turn = np.tile(joint.offset, (len(values), 1)), Rotation.identity(len(values))
         for kind, axis in joint.channels:
             column = next(columns)
-            if kind == "position":  # it takes the place of the offset
-                moved[:, axis] = column
+            if kind == "position":
+                moved[:, axis] = column + (joint.offset[axis] if added and joint.parent >= 0 else 0.0)
             else:
                 turn = turn * Rotation.from_rotvec(np.radians(column)[:, None] * np.eye(3)[axis])
         before = turned[joint.parent] if joint.parent >= 0 else Rotation.identity(len(values))

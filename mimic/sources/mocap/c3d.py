@@ -44,7 +44,6 @@ def read_c3d(path: Path, settings: MocapSettings) -> Points:
         raise SourceError(f"{path.name} has {len(names)} labels for {xyz.shape[1]} markers in {len(xyz)} frames")
     unit = str(_value(point, "UNITS") or "").strip().lower()
     screen = str(_value(point, "Y_SCREEN") or "").strip().lower().removeprefix("+")
-    xyz[(xyz == 0.0).all(axis=-1)] = np.nan
     return Points(
         t=clock(len(xyz), _value(point, "RATE"), settings, path),
         xyz=xyz,

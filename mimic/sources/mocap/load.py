@@ -15,6 +15,7 @@ from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.errors import ConfigError, SourceError
 from mimic.io.reading import check_clock
 from mimic.records import SIDES, FloatArray, PoseTrack
+from mimic.sources.mocap.body import handedness, marks_said, with_steady_bones, without_first_pose, without_marks
 from mimic.sources.mocap.bvh import read_bvh
 from mimic.sources.mocap.c3d import read_c3d
 from mimic.sources.mocap.npz import read_npz
@@ -37,15 +38,12 @@ READERS: Mapping[str, Callable[[Path, MocapSettings], Points]] = {
 ARM = 0.5
 """Approximate length of an adult's arm, shoulder -> elbow -> wrist [m]; it decides the unit of a file that names none.
 The motion does not depend on it, because arms are measured in their own length."""
+METRIC = ("m", "cm", "mm")
+"""Units that are confused in a file that names one."""
 LONGEST = (0.15, 1.6)
 """An arm is not shorter and not longer [m]; the units of UNITS are at most a factor of ten apart."""
 CLEARLY = 0.75
 """Minimum component of the torso direction along an axis that is taken as up."""
-
-MIRRORED = (
-    "the nose or the feet point backwards, so the axes of the file are taken as left-handed and turned over; if its "
-    "names of left and right are exchanged instead, the robot moves the wrong leg: play it with --mirror"
-)
 
 _UP: dict[str, FloatArray] = dict(zip(UPS, np.concatenate([np.eye(3), -np.eye(3)]), strict=True))
 
@@ -74,10 +72,13 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     )
     scheme, skeletons = recognise(points.names, read_names(mocap.names))
     person, others = _person(points, skeletons, settings.person, path)
-    named = _present(person)
+    steady = with_steady_bones(_named(without_marks(points), person))
+    marks = marks_said(_named(points, person), steady)
+    unit, length, doubts = _unit(steady, path)
+    moving, rest = without_first_pose(steady)
+    named = _present(moving)
     t = named.t
     up, notes = _up(named, mocap.up, path)
-    unit, length, doubts = _unit(named)
     origin = next((own for own in map(named.middle, ("hip", "shoulder")) if own is not None), None)
     assert origin is not None  # shoulders were found
     xyz = length * (named.xyz - origin[:, None]) @ _camera_axes(up).T
@@ -90,8 +91,8 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
             f"{settings.min_person_share:.0%} are needed; look at its gaps and visibilities, or lower [pose] "
             "min_visibility in --config"
         )
-    if _mirrored(named.names, xyz):
-        xyz, notes = xyz * (-1.0, 1.0, 1.0), (*notes, MIRRORED)
+    mirrored, sides = handedness(replace(named, xyz=xyz))
+    xyz = xyz * (-1.0 if mirrored else 1.0, 1.0, 1.0)
     seen, no_cuts = np.where(valid[..., None], xyz, np.nan), np.zeros(0, dtype=np.int64)
     smoothed = [smooth(t, column, no_cuts, settings.cutoff_hz) for column in np.moveaxis(seen, 1, 0)]
     return PoseTrack(
@@ -106,25 +107,28 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
             *points.warnings,
             f"read as {scheme}, {up} up, in {unit}; correct it with [mocap] names or up in --config",
             *others,
+            *marks,
+            *rest,
             *doubts,
             *notes,
+            *sides,
         ),
     )
 
 
 def _person(
     points: Points, skeletons: list[Columns], asked: str | int | None, path: Path
-) -> tuple[Points, tuple[str, ...]]:
+) -> tuple[Columns, tuple[str, ...]]:
     """Return who is played, and a note if there are others; copies of a skeleton at the same place are no others."""
-    people: list[Points] = []
-    for one in (_named(points, columns) for columns in skeletons):
-        if all(_apart(one, other) for other in people):
+    people: list[Columns] = []
+    for one in skeletons:
+        if all(_apart(_named(points, one), _named(points, other)) for other in people):
             people.append(one)
     if isinstance(asked, str) and asked != "largest" and len(people) > 1:
         raise ConfigError(f"{path.name} has no picture to be {asked} in; give a number from 1 to {len(people)}")
     if isinstance(asked, int) and asked > len(people):
         raise ConfigError(f"--person {asked}: {path.name} has {len(people)}; give a number from 1 to {len(people)}")
-    seen = [float(np.isfinite(one.of(*NEEDED)).mean()) for one in people]
+    seen = [float(np.isfinite(_named(points, one).of(*NEEDED)).mean()) for one in people]
     chosen = asked if isinstance(asked, int) else 1 + int(np.argmax(seen))
     note = f"{len(people)} people are in the file; number {chosen} of them is played (choose with --person)"
     return people[chosen - 1], (note,) * (len(people) > 1)
@@ -200,26 +204,7 @@ def _camera_axes(up: str) -> FloatArray:
     return np.stack([right, down, np.cross(right, down)])
 
 
-def _mirrored(names: tuple[str, ...], xyz: FloatArray) -> bool:
-    """Return whether nose or feet point away from where left, right and up say that the front is.
-
-    Args:
-        names: Of the landmarks.
-        xyz: Camera axes (T, N, 3), where y is down.
-    """
-
-    def mean(*parts: str) -> FloatArray:
-        return xyz[:, [names.index(part) for part in parts]].mean(axis=1)
-
-    left = mean("left_shoulder") - mean("right_shoulder")
-    pairs = [("nose", "left_ear", "right_ear"), *((f"{side}_foot_index", f"{side}_ankle") for side in SIDES)]
-    ahead = [mean(front) - mean(*behind) for front, *behind in pairs if {front, *behind} <= set(names)]
-    votes = np.concatenate([np.zeros(0), *(line[:, 0] * left[:, 2] - line[:, 2] * left[:, 0] for line in ahead)])
-    known = votes[np.isfinite(votes)]
-    return bool(len(known)) and float((known < 0).mean()) > 0.8
-
-
-def _unit(named: Points) -> tuple[str, float, tuple[str, ...]]:
+def _unit(named: Points, path: Path) -> tuple[str, float, tuple[str, ...]]:
     """Return name and length [m] of the unit that makes the arms as long as arms are, of the file's if that one does.
 
     Last comes what the user should know about that.
@@ -234,8 +219,12 @@ def _unit(named: Points) -> tuple[str, float, tuple[str, ...]]:
     length = float(np.quantile(known, 0.9))
     if given is not None and LONGEST[0] <= UNITS[given] * length <= LONGEST[1]:
         return given, UNITS[given], ()
-    best = min(UNITS, key=lambda name: abs(np.log(max(UNITS[name] * length, 1e-12) / ARM)))
-    doubt = "" if given is None else f"the file says {given}, but its arms would be {UNITS[given] * length:.3g} m long"
+    units = UNITS if given is None else METRIC
+    best = min(units, key=lambda name: abs(np.log(max(UNITS[name] * length, 1e-12) / ARM)))
     if not LONGEST[0] <= UNITS[best] * length <= LONGEST[1]:
-        doubt = f"arms are {length:.3g} long in the file, which is an arm's length in no unit; check the positions"
-    return f"{best} by the length of the arms", UNITS[best], (doubt,) * bool(doubt)
+        raise SourceError(
+            f"the arms in {path.name} are {length:.3g} {given or 'units'} long; expected {LONGEST[0]:g} to "
+            f"{LONGEST[1]:g} m, in {' or '.join(units)}: correct the unit, or the positions"
+        )
+    doubt = f"the file says {given}, but its arms would be {UNITS[given or best] * length:.3g} m long"
+    return f"{best} by the length of the arms", UNITS[best], (doubt,) * (given is not None)

@@ -56,6 +56,10 @@ KEYS = (*ROOTS, *BODIES, *WHOLE, *RATES)
 _WIDTHS = {66: "22 joints", 72: "SMPL", 156: "SMPL-H", 165: "SMPL-X"}
 
 
+SKEWED = 0.02
+"""A matrix whose product with its transpose is farther from the identity is no rotation; half precision gives 0.002."""
+
+
 def has_rotations(arrays: Mapping[str, Any]) -> bool:
     """Return whether arrays are parameters of the SMPL family."""
     parts = _first(arrays, ROOTS) is not None and _first(arrays, BODIES) is not None
@@ -135,7 +139,16 @@ def _matrices(given: Any, name: str, path: Path) -> FloatArray:
     if len(rows := np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))):
         raise SourceError(f"{path.name}: '{name}' is not a number in row {rows[0] + 1}; cut these rows")
     if matrices:
+        skewed = np.abs(array @ array.swapaxes(-1, -2) - np.eye(3)).max(axis=(-1, -2)) > SKEWED
+        wrong = np.flatnonzero((skewed | (np.linalg.det(array) < 0.0)).any(axis=1))
+        if len(wrong):
+            raise SourceError(f"{path.name}: '{name}' has matrices that are no rotations in row {wrong[0] + 1}")
         return array
+    if np.quantile(np.linalg.norm(array.reshape(-1, 3), axis=-1), 0.9) > 2.0 * np.pi:
+        raise SourceError(
+            f"{path.name}: '{name}' turns joints by {np.abs(array).max():.4g}; expected axis angles in radians, up to "
+            "3.14: multiply degrees by 0.01745"
+        )
     return Rotation.from_rotvec(array.reshape(-1, 3)).as_matrix().reshape(len(array), -1, 3, 3)
 
 

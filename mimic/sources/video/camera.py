@@ -11,8 +11,9 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -24,7 +25,7 @@ from mimic.config.pose import LiveSettings, PoseSettings
 from mimic.errors import SourceError
 from mimic.io.reading import existing
 from mimic.records import BoolArray, FloatArray
-from mimic.sources.video.decoding import picture_size, square
+from mimic.sources.video.decoding import Frame, check_video, open_video, picture_size, square
 from mimic.sources.video.left_right import LiveSides, swap_sides
 from mimic.sources.video.pose_model import pose_model
 from mimic.sources.video.quiet import quiet_stderr
@@ -161,8 +162,10 @@ def check_camera(camera: str) -> None:
     Raises:
         SourceError: If it is neither, or delivers no picture.
     """
-    capture, _ = _opened(camera, None)
-    capture.release()
+    if _is_device(camera):
+        _opened(camera, None)[0].release()
+    else:
+        check_video(Path(camera))
 
 
 def _is_device(camera: str) -> bool:
@@ -178,32 +181,34 @@ def _is_device(camera: str) -> bool:
 
 
 def _opened(camera: str, picture: tuple[int, int] | None) -> tuple[Any, np.ndarray]:
-    """Return the open camera or video and its first frame, BGR.
+    """Return an open camera and its first picture, RGB.
 
     Args:
-        camera: As in `open_camera`.
-        picture: Width and height asked of a camera [px]; None for its own.
+        camera: Its number or device.
+        picture: Width and height asked of it [px]; None for its own.
 
     Raises:
         SourceError: If there is none, or it delivers no picture.
     """
-    device = _is_device(camera)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     import cv2
 
     with quiet_stderr():
-        capture = cv2.VideoCapture(int(camera)) if camera.isdigit() else cv2.VideoCapture(camera)
-        if device and picture is not None:
+        capture = cv2.VideoCapture(int(camera) if camera.isdigit() else camera)
+        if picture is not None:
             capture.set(cv2.CAP_PROP_FRAME_WIDTH, picture[0])
             capture.set(cv2.CAP_PROP_FRAME_HEIGHT, picture[1])
             capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         ok, first = capture.read() if capture.isOpened() else (False, None)
     if not ok or first is None:
         capture.release()
-        raise SourceError(
-            f"cannot read a picture from {camera}; is it a camera or a video, and not used by another program?"
-        )
-    return capture, first
+        raise SourceError(f"cannot read a picture from {camera}; is it a camera, and not used by another program?")
+    return capture, _rgb(first)
+
+
+def _rgb(bgr: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.cvtColor(square(bgr, picture_size(bgr)), cv2.COLOR_BGR2RGB)
 
 
 class _LatestFrame:
@@ -214,10 +219,10 @@ class _LatestFrame:
         self._item: tuple[float, np.ndarray] | None = None
         self._dropped, self._over = 0, False
 
-    def put(self, t: float, bgr: np.ndarray) -> None:
+    def put(self, t: float, rgb: np.ndarray) -> None:
         with self._condition:
             self._dropped += self._item is not None
-            self._item = t, bgr
+            self._item = t, rgb
             self._condition.notify()
 
     def end(self) -> None:
@@ -231,9 +236,9 @@ class _LatestFrame:
             self._condition.wait_for(lambda: self._item is not None or self._over)
             if self._item is None:
                 return None
-            (t, bgr), dropped = self._item, self._dropped
+            (t, rgb), dropped = self._item, self._dropped
             self._item, self._dropped = None, 0
-            return t, bgr, dropped
+            return t, rgb, dropped
 
 
 def _run_camera(
@@ -244,27 +249,31 @@ def _run_camera(
     previews, low_priority = options
     if low_priority:
         os.nice(LOW_PRIORITY)
-    import cv2
-
     from mimic.sources.video.blazepose import BlazePose, Everybody
     from mimic.sources.video.depth import LiveDepth
     from mimic.sources.video.people import People
 
-    try:
-        capture, first = _opened(camera, live.camera_size)
-    except SourceError as reason:
-        pipe.send(str(reason))
-        return
     latest, depth = _LatestFrame(), LiveDepth() if pose.depth else None
     assert isinstance(pose.pose_model, Path)
     hint = "let one person stand before the camera"
-    with BlazePose(pose.pose_model) as detect, Everybody(pose.pose_model) as everybody:
-        people = People(everybody, None, camera, hint)
-        detect(people.show(0.0, cv2.cvtColor(first, cv2.COLOR_BGR2RGB)))  # warm-up: the first detection is slow
-        pipe.send(True)
-        grab, given = (_read_camera, (capture, latest)) if device else (_play_file, (capture, first, latest, pipe))
-        threading.Thread(target=grab, args=given, daemon=True).start()
-        _detect(latest, detect, people, depth, pose, pipe, previews, picture_size(capture, first))
+    try:
+        with ExitStack() as stack:
+            if device:
+                capture, first = _opened(camera, live.camera_size)
+                given = _read_camera, (capture, latest)
+            else:
+                video = stack.enter_context(open_video(Path(camera)))
+                frame = next(video.frames)
+                first = frame.rgb
+                given = _play_file, (chain([frame], video.frames), latest, pipe)
+            detect, everybody = (stack.enter_context(kind(pose.pose_model)) for kind in (BlazePose, Everybody))
+            people = People(everybody, None, camera, hint)
+            detect(people.show(0.0, first))  # warm-up: the first detection is slow
+            pipe.send(True)
+            threading.Thread(target=given[0], args=given[1], daemon=True).start()
+            _detect(latest, detect, people, depth, pose, pipe, previews)
+    except SourceError as reason:
+        pipe.send(str(reason))
 
 
 def _read_camera(capture: Any, latest: _LatestFrame) -> None:
@@ -273,7 +282,7 @@ def _read_camera(capture: Any, latest: _LatestFrame) -> None:
     while failures < 30:
         ok, bgr = capture.read()
         if ok:
-            latest.put(time.monotonic(), bgr)
+            latest.put(time.monotonic(), _rgb(bgr))
             failures = 0
         else:
             failures += 1
@@ -281,22 +290,17 @@ def _read_camera(capture: Any, latest: _LatestFrame) -> None:
     latest.end()
 
 
-def _play_file(capture: Any, first: np.ndarray, latest: _LatestFrame, pipe: Connection) -> None:
+def _play_file(frames: Iterator[Frame], latest: _LatestFrame, pipe: Connection) -> None:
     """Deliver the frames of a file in real time, by their time stamps, once the parent asks for them."""
-    import cv2
-
     try:
         pipe.recv()
     except (EOFError, OSError):
         return
-    start, stamp, bgr, zero = time.monotonic(), 0.0, first, float(capture.get(cv2.CAP_PROP_POS_MSEC))
-    while True:
-        time.sleep(max(0.0, start + stamp - time.monotonic()))
-        latest.put(time.monotonic(), bgr)
-        ok, bgr = capture.read()
-        if not ok:
-            break
-        stamp = max(stamp, (float(capture.get(cv2.CAP_PROP_POS_MSEC)) - zero) / 1e3)
+    begun, first = time.monotonic(), None
+    for frame in frames:
+        first = frame.stamp_ms if first is None else first
+        time.sleep(max(0.0, begun + (frame.stamp_ms - first) / 1e3 - time.monotonic()))
+        latest.put(time.monotonic(), frame.rgb)
     latest.end()
 
 
@@ -308,7 +312,6 @@ def _detect(
     pose: PoseSettings,
     pipe: Connection,
     previews: bool,
-    picture: tuple[int, int],
 ) -> None:
     """Detect the person in the newest frame and send a row, until there are no more frames."""
     import cv2
@@ -316,10 +319,8 @@ def _detect(
     sides, last_preview, began = LiveSides(), -np.inf, time.monotonic()
     look = FIRST_LOOK
     while (item := latest.take()) is not None:
-        t, bgr, skipped = item
+        t, rgb, skipped = item
         started = time.monotonic()
-        bgr = square(bgr, picture)
-        rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
         if t - began > look:  # it takes as long as some frames: seldom
             look *= 2
             people.look(t - began, rgb)
@@ -334,12 +335,13 @@ def _detect(
         clothes = clothes_colour(rgb, image)
         people.saw(image, clothes)
         person = bool(person_rows(score[None], pose.min_visibility)[0])
-        size, spread = (bgr.shape[1], bgr.shape[0]), np.full(2, np.nan)
+        size, spread = (rgb.shape[1], rgb.shape[0]), np.full(2, np.nan)
         if person and depth is not None:
             landmarks, spread = depth.see(t, landmarks, image, score, size)
         jpeg = None
         if previews and t - last_preview >= PREVIEW_INTERVAL:
-            small = cv2.resize(bgr, (PREVIEW_WIDTH, round(PREVIEW_WIDTH * bgr.shape[0] / bgr.shape[1])))
+            small = cv2.resize(rgb, (PREVIEW_WIDTH, round(PREVIEW_WIDTH * rgb.shape[0] / rgb.shape[1])))
+            small = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
             jpeg, last_preview = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes(), t
         row = CameraFrame(
             t=t,

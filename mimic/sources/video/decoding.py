@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-import logging
-import os
 import queue
 import threading
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from fractions import Fraction
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mimic.errors import SourceError
 from mimic.records import FloatArray
-from mimic.sources.video.quiet import quiet_stderr
 
-log = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from av import Packet
+    from av.container import InputContainer
+    from av.video.stream import VideoStream
 
 MAX_SIDE = 1280
 """Maximum side length of a frame for the detector, which crops the person to 256 x 256 [px].
@@ -42,6 +44,8 @@ class Frame:
     """Upright picture (H, W, 3), no side longer than MAX_SIDE."""
     change: float
     """Mean absolute difference of the thumbnail from the previous frame [grey levels of 255]; 0 for the first."""
+    size: tuple[int, int]
+    """Width and height of the upright picture with square pixels [px]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +58,8 @@ class Video:
     """Number of frames in the header, None if it has none. It may be wrong."""
     frames: Iterator[Frame]
     """The frames in order, decoded in a background thread."""
+    damaged: list[float]
+    """Times of the frames so far that could not be decoded [s]; those behind them are."""
 
     def __iter__(self) -> Iterator[Frame]:
         return self.frames
@@ -66,39 +72,22 @@ def open_video(path: Path) -> Iterator[Video]:
     Raises:
         SourceError: If there is no file, or no frame can be decoded from it.
     """
-    # Silences FFmpeg's messages about the file; OpenCV reads the variable when it is first used.
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    import cv2
-
     if not path.is_file():
         raise SourceError(f"there is no file {path}; give the path of a video (mp4, mkv, mov, gif, …)")
     if path.stat().st_size == 0:
         raise SourceError(f"{path.name} is empty (0 bytes); record or copy the video again")
-    with quiet_stderr():
-        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    damaged: list[float] = []
+    first, others, count = _opened(path, damaged)
     stop = threading.Event()
     decoded: queue.Queue[Frame | Exception | None] = queue.Queue(_QUEUE_SIZE)
-    thread: threading.Thread | None = None
+    thread = threading.Thread(target=_decode_into, args=(others, decoded, stop), name="decode", daemon=True)
+    thread.start()
     try:
-        ok, first = capture.read() if capture.isOpened() else (False, None)
-        if not ok or first is None:
-            raise SourceError(
-                f"no picture can be read from {path.name} ({path.stat().st_size} bytes); expected a video "
-                "with a picture track (mp4, mkv, mov, gif, …); check that a video player shows it"
-            )
-        frame_count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        size = picture_size(capture, first)
-        frame, thumbnail = _frame(first, capture.get(cv2.CAP_PROP_POS_MSEC), None, size)
-        thread = threading.Thread(
-            target=_decode_into, args=(capture, decoded, stop, thumbnail, size), name="decode", daemon=True
-        )
-        thread.start()
-        yield Video(size, frame_count if frame_count > 0 else None, _drain(frame, decoded))
+        yield Video(first.size, count, chain([first], _drain(decoded)), damaged)
     finally:
         stop.set()
-        if thread is not None:
-            thread.join()
-        capture.release()
+        thread.join()
+        others.close()
 
 
 def check_video(path: Path) -> None:
@@ -107,52 +96,96 @@ def check_video(path: Path) -> None:
         pass
 
 
-def picture_size(capture: Any, frame: np.ndarray) -> tuple[int, int]:
-    """Return the width and height that show the frames of an open capture with square pixels; none gets less of them.
+def _opened(path: Path, damaged: list[float]) -> tuple[Frame, Generator[Frame], int | None]:
+    """Return the first frame of the largest picture stream, the others, and how many the header announces, if any.
 
-    A shape of the pixels that no video has counts as square.
+    Raises:
+        SourceError: If there is no picture.
     """
+    import av
+
+    cover = av.stream.Disposition.attached_pic
+    container = None
+    try:
+        container = av.open(str(path), metadata_errors="ignore")
+        streams = [stream for stream in container.streams.video if not stream.disposition & cover]
+        stream = max(streams, key=lambda one: one.width * one.height)
+        frames = _frames(container, stream, damaged)
+        return next(frames), frames, stream.frames or None
+    except (av.FFmpegError, ValueError, StopIteration):
+        if container is not None:
+            container.close()
+        raise SourceError(
+            f"no picture can be read from {path.name} ({path.stat().st_size} bytes); expected a video "
+            "with a picture track (mp4, mkv, mov, gif, …); check that a video player shows it"
+        ) from None
+
+
+def _frames(container: InputContainer, stream: VideoStream, damaged: list[float]) -> Generator[Frame]:
+    """Yield the frames of a stream; what cannot be decoded is left out, and what is behind it is not."""
+    import av
     import cv2
 
-    shape = capture.get(cv2.CAP_PROP_SAR_NUM) or 1.0, capture.get(cv2.CAP_PROP_SAR_DEN) or 1.0
-    turned = int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 180 == 90
-    pixel = shape[turned] / shape[not turned]
-    pixel = pixel if 0.25 <= pixel <= 4.0 else 1.0
-    return round(frame.shape[1] * max(pixel, 1.0)), round(frame.shape[0] / min(pixel, 1.0))
+    stream.thread_type = "AUTO"
+    stamp_ms, size, previous = 0.0, None, None
+    with container:
+        for packet in _packets(container, stream):
+            try:
+                pictures = packet.decode()
+            except av.FFmpegError:
+                damaged.append(float((packet.pts or 0) * packet.time_base))
+                continue
+            for picture in pictures:
+                bgr = np.ascontiguousarray(np.rot90(picture.to_ndarray(format="bgr24"), round(picture.rotation / 90)))
+                stamp_ms = stamp_ms if picture.time is None else 1e3 * picture.time
+                size = size or picture_size(bgr, stream.sample_aspect_ratio, picture.rotation)
+                stride = max(1, min(bgr.shape[:2]) // 96)
+                small = cv2.resize(bgr[::stride, ::stride], _THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.int16)
+                change = 0.0 if previous is None else float(np.abs(small - previous).mean())
+                yield Frame(stamp_ms, cv2.cvtColor(square(bgr, size), cv2.COLOR_BGR2RGB), change, size)
+                previous = small
 
 
-def square(bgr: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return a frame with the sides of `picture_size`, shrunk where one is longer than MAX_SIDE."""
+def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet]:
+    """Yield the packets of a stream; a damaged place in the container is passed over while anything follows it."""
+    import av
+
+    more = True
+    while more:
+        more = False
+        try:
+            for packet in container.demux(stream):
+                yield packet
+                more = True
+            return
+        except av.FFmpegError:
+            continue
+
+
+def picture_size(picture: np.ndarray, pixel: Fraction | None = None, rotation: int = 0) -> tuple[int, int]:
+    """Return the width and height that show a picture with square pixels; none gets less of them.
+
+    Args:
+        picture: Upright (H, W, ...).
+        pixel: Width over height of a pixel in the file; None, and a shape that no video has, counts as square.
+        rotation: By which the picture of the file was turned [deg].
+    """
+    shape = float(pixel or 1.0) if 0.25 <= float(pixel or 1.0) <= 4.0 else 1.0
+    ratio = 1.0 / shape if rotation % 180 else shape
+    return round(picture.shape[1] * max(ratio, 1.0)), round(picture.shape[0] / min(ratio, 1.0))
+
+
+def square(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a picture with the sides of `picture_size`, shrunk where one is longer than MAX_SIDE."""
     import cv2
 
     shrink = min(1.0, MAX_SIDE / max(size))
     wanted = round(size[0] * shrink), round(size[1] * shrink)
-    same = wanted == (bgr.shape[1], bgr.shape[0])
-    return bgr if same else cv2.resize(bgr, wanted, interpolation=cv2.INTER_LINEAR)
+    same = wanted == (picture.shape[1], picture.shape[0])
+    return picture if same else cv2.resize(picture, wanted, interpolation=cv2.INTER_LINEAR)
 
 
-def _frame(
-    bgr: np.ndarray, stamp_ms: float, previous: np.ndarray | None, size: tuple[int, int]
-) -> tuple[Frame, np.ndarray]:
-    """Return the frame, and its thumbnail for comparison with the next one."""
-    import cv2
-
-    height, width = bgr.shape[:2]
-    stride = max(1, min(height, width) // 96)
-    thumbnail = cv2.resize(bgr[::stride, ::stride], _THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.int16)
-    change = 0.0 if previous is None else float(np.abs(thumbnail - previous).mean())
-    return Frame(stamp_ms, cv2.cvtColor(square(bgr, size), cv2.COLOR_BGR2RGB), change), thumbnail
-
-
-def _decode_into(
-    capture: Any,
-    decoded: queue.Queue[Any],
-    stop: threading.Event,
-    thumbnail: np.ndarray | None,
-    size: tuple[int, int],
-) -> None:
-    import cv2
-
+def _decode_into(frames: Iterator[Frame], decoded: queue.Queue[Any], stop: threading.Event) -> None:
     def put(item: Frame | Exception | None) -> None:
         while not stop.is_set():
             try:
@@ -161,21 +194,17 @@ def _decode_into(
                 continue
 
     try:
-        while not stop.is_set():
-            ok, bgr = capture.read()
-            if not ok:
-                break
-            # After read() this is the time of this frame, also with a variable frame rate.
-            frame, thumbnail = _frame(bgr, capture.get(cv2.CAP_PROP_POS_MSEC), thumbnail, size)
+        for frame in frames:
             put(frame)
+            if stop.is_set():
+                break
     except Exception as error:
         put(error)
     else:
         put(None)
 
 
-def _drain(first: Frame, decoded: queue.Queue[Any]) -> Iterator[Frame]:
-    yield first
+def _drain(decoded: queue.Queue[Any]) -> Iterator[Frame]:
     while (item := decoded.get()) is not None:
         if isinstance(item, Exception):
             raise item

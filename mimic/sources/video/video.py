@@ -26,7 +26,7 @@ from mimic.sources.video.shots import clothes_colour, describe, find_changes, li
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 12
+ALGORITHM = 13
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MAX_SWAP_SHARE = 0.05
@@ -53,6 +53,8 @@ class _Detections:
     missing: int
     """Bytes that the file lacks at its end."""
     repaired: int
+    damaged: list[float]
+    """Times of frames that could not be decoded [s]."""
     people: list[str]
     """What is to be said about several people in view."""
 
@@ -173,7 +175,7 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     t, repaired = true_times(np.array(stamps))
     landmarks, image, score = (np.array(column) for column in zip(*rows, strict=True))
     looks = np.array(change), np.array(light), np.array(clothes)
-    more = video.size, missing_bytes(path), repaired, people.sentences()
+    more = video.size, missing_bytes(path), repaired, video.damaged, people.sentences()
     found = _Detections(path.name, t, landmarks, image, score, *looks, *more)
     found.blank(~people.followed_rows())
     return found
@@ -211,6 +213,11 @@ def _check_person(detections: _Detections, settings: PoseSettings) -> None:
 def _file_warnings(detections: _Detections) -> Iterator[str]:
     if detections.missing:
         yield f"the file is cut off, {detections.missing} bytes short; the end may be missing: copy it again"
+    if lost := detections.damaged:
+        yield (
+            f"{len(lost)} frames are damaged and left out, at {min(lost):.2f} to {max(lost):.2f} s; what is between "
+            "their neighbours is not what the person did: copy the file again"
+        )
     if detections.repaired:
         yield (
             f"{detections.repaired} of {len(detections.t)} time stamps do not increase; these frames got interpolated "

@@ -10,7 +10,8 @@ from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.errors import ConfigError, SourceError
 from mimic.records import PoseTrack
 from mimic.retargeting.wrists import wrist_track
-from mimic.sources.mocap.load import MIRRORED, track_mocap
+from mimic.sources.mocap.body import MIRRORED
+from mimic.sources.mocap.load import track_mocap
 from mimic.sources.mocap.skeletons import LAYOUTS, SCHEMES
 
 FOUR_CAMERAS = Path(__file__).parents[3] / ".." / "shared" / "data" / "videos" / "real" / "multiview"
@@ -19,17 +20,18 @@ T = np.arange(ROWS) / 60
 
 
 def person() -> dict[str, np.ndarray]:
-    """Someone in metres, x forward, y left, z up, whose arms swing slowly."""
+    """Someone in metres, x forward, y left, z up, whose forearms of 26 cm swing slowly."""
     still = np.zeros((ROWS, 1))
     swing = 0.3 * np.sin(2 * np.pi * 0.7 * T)[:, None]
     points = {}
     for side, y in (("left", 1.0), ("right", -1.0)):
         shoulder = still + [0.0, 0.2 * y, 1.45]
         elbow = shoulder + [0.05, 0.05 * y, -0.25]
+        forearm = swing * [0.8, 0.2 * y, 0.5] + [0.3, 0.0, 0.1]
         points |= {
             f"{side}_shoulder": shoulder,
             f"{side}_elbow": elbow,
-            f"{side}_wrist": elbow + swing * [0.8, 0.2 * y, 0.5] + [0.15, 0.0, 0.1],
+            f"{side}_wrist": elbow + 0.26 * forearm / np.linalg.norm(forearm, axis=1, keepdims=True),
             f"{side}_hip": still + [0.0, 0.1 * y, 0.95],
             f"{side}_knee": still + [0.02, 0.1 * y, 0.5],
             f"{side}_ankle": still + [0.0, 0.1 * y, 0.08],

@@ -70,7 +70,7 @@ def test_a_missing_camera_is_reported(camera):
 def test_a_file_that_is_not_a_video_is_reported(tmp_path):
     (tmp_path / "a.mp4").write_text("no video")
     with (
-        pytest.raises(SourceError, match="cannot read a picture from"),
+        pytest.raises(SourceError, match="no picture can be read from"),
         open_camera(str(tmp_path / "a.mp4"), PoseSettings(), LiveSettings()),
     ):
         pass
