@@ -11,10 +11,10 @@ from mimic.records import SIDES, FloatArray
 from mimic.sources.mocap.points import Points
 
 LONGER, SHORTER = 1.6, 0.2
-"""A bone this many times as long as usual has an end where nothing was seen: at most 1.46 in 999 of 1000 rows of two men
-seen by four cameras, 1.41 by one."""
+"""A bone this many times as long as usual has an end where nothing was seen. Of two men seen by four cameras it was
+1.46 times as long at most, but once; of people seen by one, 1.41."""
 FIRST, BESIDE = 5, 8
-"""Rows at the beginning in which a pose before the motion may end, and steps beside its end that it is compared with."""
+"""Rows at the beginning in which a pose before the motion may end, and steps that its end is compared with."""
 LEAP, ALONE = 0.15, 4.0
 """There a wrist leaps by this much at once [arm lengths], and this many times as far as in any step beside it."""
 SLOWEST = 0.07

@@ -15,7 +15,7 @@ from mimic.sources.mocap.points import UPS, Points, clock
 from mimic.sources.mocap.skeletons import layout_of
 from mimic.sources.mocap.smpl import KEYS, RATES, has_rotations, points_of_rotations
 
-POINTS = ("points", "joints", "xyz", "keypoints_3d")
+POINTS = ("points", "joints", "xyz", "keypoints_3d", "pred_keypoints_3d")
 """Names of the array of positions; the first that is there counts."""
 VISIBILITY = ("visibility", "score", "scores", "confidence")
 _READ = {*POINTS, *VISIBILITY, *KEYS, "t", "names", "layout", "up"}

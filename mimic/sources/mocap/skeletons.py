@@ -84,6 +84,9 @@ _COCO = (
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
     "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
 )
+_HAND = [
+    f"{finger}_{joint}" for finger in ("thumb", "index_finger", "middle", "ring", "pinky_finger") for joint in range(4)
+]
 LAYOUTS: Mapping[str, tuple[str, ...]] = {
     "blazepose33": LANDMARKS,
     "coco17": tuple(_COCO.split()),
@@ -97,10 +100,19 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = {
         *(f"left_hand_{i}" for i in range(21)),
         *(f"right_hand_{i}" for i in range(21)),
     ),
+    "mhr70": (
+        *_COCO.split()[:9],
+        *_COCO.split()[11:],
+        *["left_foot_index", "left_small_toe", "left_heel", "right_foot_index", "right_small_toe", "right_heel"],
+        *(f"right_{joint}" for joint in (*_HAND, "wrist")),
+        *(f"left_{joint}" for joint in (*_HAND, "wrist")),
+        *(f"{side}_{part}" for part in ("olecranon", "cubital_fossa", "acromion") for side in ("left", "right")),
+        "neck",
+    ),
     "h36m17": tuple(_H36M.split()),
     "smpl24": tuple(_SMPL.split()),
 }
-"""Names of points that come as rows without names."""
+"""Names of points that come as rows without names. mhr70: SAM 3D Body, sam_3d_body/metadata/mhr70.py."""
 
 
 def layout_of(points: int, asked: str | None) -> tuple[str, ...]:

@@ -1,11 +1,12 @@
 """Joint rotations of the SMPL family -> points, by forward kinematics on a generic skeleton; no body model is needed.
 
-Read are the parameters as AMASS, SMPL, SMPL-H, SMPL-X, AIST++, GVHMR, WHAM and 4D-Humans store them. The shape of the
-person (betas) is not used: retargeting measures arms in their own length.
+Read are the parameters as AMASS, SMPL, SMPL-H, SMPL-X, AIST++, GVHMR, WHAM, 4D-Humans and GEM-X (SOMA) store them. The
+shape of the person (betas) is not used: retargeting measures arms in their own length.
 
 Source: Loper et al., "SMPL: A Skinned Multi-Person Linear Model", 2015: each joint has a rotation relative to its
 parent, the rest pose is a T-pose with the left arm along +x, up +y, and the face toward +z. The offsets are segment
 lengths of a person of 1.70 m after Winter, "Biomechanics and Motor Control of Human Movement", 2009, figure 4.1.
+SOMA's are relative to the same T-pose: NVlabs/SOMA-X, soma/geometry/rig_utils.py and tests/test_pose_inversion.py.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from mimic.sources.mocap.skeletons import LAYOUTS
 JOINTS = LAYOUTS["smpl24"][:22]
 """Joints that SMPL, SMPL-H and SMPL-X share, in their order."""
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
+SOMA = (0, 67, 72, 1, 68, 73, 2, 69, 74, 3, 70, 75, 4, 11, 39, 6, 12, 40, 13, 41, 14, 42)
+"""Where they are among the 77 joints of SOMA."""
 _LEFT = {
     "left_hip": (0.09, -0.08, 0.0),
     "left_knee": (0.0, -0.42, 0.0),
@@ -53,7 +56,7 @@ WHOLE = ("poses", "pose_world", "smpl_poses", "pose", "fullpose")
 """Names of the rotations of the pelvis, of the other joints, and of all of them; the first that is there counts."""
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate", "framerate")
 KEYS = (*ROOTS, *BODIES, *WHOLE, *RATES)
-_WIDTHS = {66: "22 joints", 72: "SMPL", 156: "SMPL-H", 165: "SMPL-X"}
+_WIDTHS = {66: "22 joints", 72: "SMPL", 156: "SMPL-H", 165: "SMPL-X", 231: "SOMA"}
 
 
 SKEWED = 0.02
@@ -112,7 +115,7 @@ def _rotations(arrays: Mapping[str, Any], path: Path) -> FloatArray:
             raise SourceError(
                 f"{path.name}: '{root}' and '{body}' have shapes {shapes}; expected (T, 3) and (T, 63) or more"
             )
-        return np.concatenate(parts, axis=1)[:, : len(JOINTS)]
+        return _shared(np.concatenate(parts, axis=1))
     assert whole is not None  # has_rotations
     given = np.shape(arrays[whole])
     if len(given) == 2 and given[1] not in _WIDTHS:
@@ -121,7 +124,12 @@ def _rotations(arrays: Mapping[str, Any], path: Path) -> FloatArray:
     turns = _matrices(arrays[whole], whole, path)
     if turns.shape[1] < len(JOINTS):
         raise SourceError(f"{path.name}: '{whole}' has {turns.shape[1]} joints; expected at least {len(JOINTS)}")
-    return turns[:, : len(JOINTS)]
+    return _shared(turns)
+
+
+def _shared(turns: FloatArray) -> FloatArray:
+    """Return the rotations of JOINTS among those of all joints."""
+    return turns[:, SOMA if turns.shape[1] == max(_WIDTHS) // 3 else slice(len(JOINTS))]
 
 
 def _matrices(given: Any, name: str, path: Path) -> FloatArray:
@@ -144,7 +152,8 @@ def _matrices(given: Any, name: str, path: Path) -> FloatArray:
         if len(wrong):
             raise SourceError(f"{path.name}: '{name}' has matrices that are no rotations in row {wrong[0] + 1}")
         return array
-    if np.quantile(np.linalg.norm(array.reshape(-1, 3), axis=-1), 0.9) > 2.0 * np.pi:
+    angles = np.linalg.norm(array.reshape(len(array), -1, 3), axis=-1)
+    if np.median(angles, axis=0).max() > 2.0 * np.pi:
         raise SourceError(
             f"{path.name}: '{name}' turns joints by {np.abs(array).max():.4g}; expected axis angles in radians, up to "
             "3.14: multiply degrees by 0.01745"
@@ -171,8 +180,9 @@ def read_parameters(path: Path, settings: MocapSettings) -> Points:
     if not people:
         keys = ", ".join(str(key)[:40] for key in list(data)[:8]) if isinstance(data, dict) else type(data).__name__
         raise SourceError(
-            f"{path.name} holds {keys or 'nothing'}; expected what GVHMR (hmr4d_results.pt), WHAM (wham_output.pkl), "
-            "4D-Humans (demo_….pkl) or AIST++ write, or a dictionary with global_orient and body_pose, or poses"
+            f"{path.name} holds {keys or 'nothing'}; expected what GVHMR (hmr4d_results.pt), GEM-X (hpe_results.pt), "
+            "WHAM (wham_output.pkl), 4D-Humans (demo_….pkl) or AIST++ write, or a dictionary with global_orient and "
+            "body_pose, or poses"
         )
     each = [points_of_rotations(arrays, settings, path) for arrays in people.values()]
     frames = [_frames(arrays, len(own.t)) for arrays, own in zip(people.values(), each, strict=True)]
@@ -204,8 +214,8 @@ def _plain(data: dict[Any, Any]) -> _People:
     return {0: data} if has_rotations(data) else {}
 
 
-def _gvhmr(data: dict[Any, Any]) -> _People:
-    own = data.get("smpl_params_global")
+def _global(data: dict[Any, Any]) -> _People:
+    own = next((value for key, value in data.items() if str(key).endswith("_params_global")), None)
     return _plain(own) if isinstance(own, dict) else {}
 
 
@@ -238,7 +248,7 @@ def _humans4d(data: dict[Any, Any]) -> _People:
 
 
 _PROGRAMS: tuple[tuple[str, Callable[[dict[Any, Any]], _People]], ...] = (
-    ("GVHMR", _gvhmr),
+    ("GVHMR or GEM-X", _global),
     ("WHAM", _wham),
     ("4D-Humans", _humans4d),
     ("the SMPL family", _plain),

@@ -126,7 +126,6 @@ def _frames(container: InputContainer, stream: VideoStream, damaged: list[float]
     import av
     import cv2
 
-    stream.thread_type = "AUTO"
     stamp_ms, size, previous = 0.0, None, None
     with container:
         for packet in _packets(container, stream):

@@ -1,6 +1,8 @@
+import struct
 from itertools import pairwise
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -26,6 +28,60 @@ def test_every_frame_comes_once_at_its_time(tmp_path):
     with open_video(written(tmp_path / "a.mp4", frames=12)) as video:
         stamps = [frame.stamp_ms for frame in video]
     assert stamps == pytest.approx([40.0 * i for i in range(12)])
+
+
+def of_h264(path: Path, *, sizes: tuple[tuple[int, int], ...] = ((128, 96),), frames: int = 40) -> Path:
+    """A clip with a stream of H.264 of each size, in which a bright square moves."""
+    with av.open(str(path), "w") as container:
+        streams = [container.add_stream("libx264", rate=25, options={"g": "10", "bf": "0"}) for _ in sizes]
+        for stream, size in zip(streams, sizes, strict=True):
+            stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        for i in range(frames):
+            for stream, (width, height) in zip(streams, sizes, strict=True):
+                picture = np.zeros((height, width, 3), np.uint8)
+                picture[20:60, i : i + 30] = 200
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        for stream in streams:
+            container.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize("ending", ["mp4", "mkv"])
+@pytest.mark.parametrize("damaged", [range(12, 15), range(22, 23)], ids=["three frames", "one frame"])
+def test_frames_behind_damage_are_used_at_their_times(ending, damaged, tmp_path):
+    path = of_h264(tmp_path / f"a.{ending}")
+    data = bytearray(path.read_bytes())
+    with av.open(str(path)) as container:
+        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
+    for i in damaged:
+        at = data.index(packets[i])
+        data[at : at + len(packets[i])] = bytes(len(packets[i]))
+    path.write_bytes(data)
+    with open_video(path) as video:
+        stamps = [frame.stamp_ms for frame in video]
+    assert stamps == pytest.approx([40.0 * i for i in range(40) if i not in damaged], abs=1.0)
+    assert video.damaged == pytest.approx([0.04 * i for i in damaged], abs=0.001)
+
+
+def test_of_several_picture_streams_the_largest_is_read(tmp_path):
+    with open_video(of_h264(tmp_path / "a.mp4", sizes=((64, 48), (160, 120), (96, 72)))) as video:
+        assert video.size == (160, 120)
+        assert len(list(video)) == 40
+
+
+@pytest.mark.parametrize(("turn", "size"), [(90, (96, 128)), (180, (128, 96))])
+def test_a_picture_that_its_file_turns_is_upright(turn, size, tmp_path):
+    path = of_h264(tmp_path / "a.mp4")
+    data = bytearray(path.read_bytes())
+    matrix = data.index(b"tkhd") + 4 + 40
+    turned = {90: (0, 65536, 0, -65536, 0), 180: (-65536, 0, 0, 0, -65536)}[turn]
+    struct.pack_into(">5i", data, matrix, *turned)
+    path.write_bytes(data)
+    with open_video(path) as video:
+        first = next(iter(video)).rgb.mean(axis=-1)
+        assert video.size == size
+    y, x = np.argwhere(first > 128).mean(axis=0) / first.shape
+    assert (y > 0.5, x > 0.5) == ((turn == 180), True)
 
 
 def test_pictures_are_rgb(tmp_path):
