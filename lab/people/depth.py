@@ -28,6 +28,7 @@ from mimic.retargeting.wrists import torso_heading, wrist_track
 from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 from mimic.sources.video.depth import with_depth
+from mimic.sources.video.heading import with_heading
 from mimic.sources.video.two_views import merge_views
 
 STILL = RetargetSettings(keep_peaks=False)
@@ -53,7 +54,9 @@ def true_track(path: Path, like: PoseTrack) -> PoseTrack:
 
 def _as_track(landmarks: np.ndarray, like: PoseTrack) -> PoseTrack:
     valid = np.isfinite(landmarks).all(axis=-1)
-    return replace(like, landmarks=landmarks, valid=valid, score=valid.astype(float), shot=np.zeros(len(like.t)))
+    return replace(
+        like, landmarks=landmarks, valid=valid, score=valid.astype(float), shot=np.zeros(len(like.t)), size=(0, 0)
+    )
 
 
 def _seen_by(view: Path) -> np.ndarray:
@@ -70,6 +73,7 @@ def estimated(seen: PoseTrack) -> PoseTrack:
     """Return the track with estimated depth."""
     shots = np.flatnonzero(np.diff(seen.shot) > 0) + 1
     landmarks, spread = with_depth(seen.t, seen.landmarks, seen.image, seen.score, seen.size, shots)
+    landmarks = with_heading(landmarks, seen.image, seen.valid, seen.size, shots)
     return replace(seen, landmarks=landmarks, depth_spread=spread)
 
 

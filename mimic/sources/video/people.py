@@ -25,7 +25,7 @@ Choice = Literal["left", "right", "largest"] | int
 SOONEST, LATEST = 0.5, 3.0
 """Times between two looks for everybody [s]: all since the beginning, but the first where one person was chosen."""
 VISIBLE = 0.6
-"""Both shoulders of a person must be at least this visible."""
+"""Both shoulders and a wrist of a person must be at least this visible: an arm by itself is found as a small person."""
 SMALLEST = 0.25
 """Smaller people than this share of the largest one are background."""
 FIRST = 2.0
@@ -47,7 +47,9 @@ WIDE = 1.2
 """A picture with a longer side than this many shorter ones is also searched in squares: people who are small in the
 whole of it are found there. Where nobody was chosen, every second look does so."""
 
-_SHOULDERS, _HIPS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "hip"))
+_SHOULDERS, _WRISTS, _HIPS = (
+    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "wrist", "hip")
+)
 CHOOSE = "--person left|right|largest|N chooses"
 _ORDINALS = ("left", "second from the left", "third from the left", "fourth from the left", "fifth from the left")
 
@@ -303,7 +305,11 @@ class People:
 
     def _poses_in(self, rgb: np.ndarray) -> list[FloatArray]:
         """Return landmarks (33, 2) of everybody in a picture, fraction of its width and height."""
-        return [image for image, score in self._everybody(rgb) if score[_SHOULDERS].min() >= VISIBLE]
+        return [
+            image
+            for image, score in self._everybody(rgb)
+            if min(score[_SHOULDERS].min(), score[_WRISTS].max()) >= VISIBLE
+        ]
 
     def sentences(self) -> list[str]:
         """Return what is to be said about several people in view.

@@ -18,6 +18,8 @@ from mimic.records import SIDES, BoolArray, FloatArray, PoseTrack
 
 LATEST = 2.0
 """One clip starts at most this long after the other [s]."""
+DELAYS = 8
+"""Delays that are tried."""
 GRID_HZ = 100.0
 """Rate at which their motion is compared [Hz]."""
 ACROSS, DEPTH = 0.03, 0.12
@@ -65,12 +67,18 @@ def merge_views(first: PoseTrack, second: PoseTrack, names: tuple[str, str]) -> 
     for track, name in zip((first, second), names, strict=True):
         if len(np.unique(track.shot)) > 1:
             raise SourceError(f"{name} has a cut or a change of person; two views need clips without one")
-    delay = _delay(first, second)
-    seen, other = _lines(first), _at(_lines(second), second.t, first.t + delay)
-    both = seen.valid & other.valid
-    if not both.any():
+    seen, lines = _lines(first), _lines(second)
+    fits = []
+    for delay in _delays(first, second):
+        other = _at(lines, second.t, first.t + delay)
+        both = seen.valid & other.valid
+        if both.any():
+            fits.append((*_turn(seen.xyz[both], other.xyz[both]), delay))
+    if not fits:
         raise SourceError(f"{names[0]} and {names[1]} never show the same arm at once; film both at the same time")
-    turn, unlike = _turn(seen.xyz[both], other.xyz[both])
+    turn, unlike, delay = min(fits, key=lambda fit: fit[1])
+    other = _at(lines, second.t, first.t + delay)
+    both = seen.valid & other.valid
     apart = float(np.sqrt(((seen.xyz[both] - other.xyz[both] @ turn.T) ** 2).sum(axis=-1).mean()))
     if unlike > 1.0:
         raise SourceError(
@@ -122,17 +130,20 @@ def _at(lines: _Lines, t: FloatArray, times: FloatArray) -> _Lines:
     return _Lines(between(lines.xyz), between(lines.spread), valid)
 
 
-def _delay(first: PoseTrack, second: PoseTrack) -> float:
-    """Return the delay at which elbows and wrists go up and down most alike [s]."""
+def _delays(first: PoseTrack, second: PoseTrack) -> FloatArray:
+    """Return the delays at which elbows and wrists go up and down most alike, at most DELAYS of them [s]."""
     one, other = (_speeds(track) for track in (first, second))
-    most = round(LATEST * GRID_HZ)
-    lags = range(max(-most, 1 - len(one)), min(most, len(other) - 1) + 1)
 
-    def alike(lag: int) -> float:
-        rows = min(len(one), len(other) - lag) - max(0, -lag)
-        return float(np.vdot(one[max(0, -lag) :][:rows], other[max(0, lag) :][:rows]))
+    def sums(of: FloatArray, to: FloatArray) -> FloatArray:
+        return sum(np.correlate(b, a, "full") for a, b in zip(of.T, to.T, strict=True))
 
-    return max(lags, key=alike) / GRID_HZ
+    lags = np.arange(1 - len(one), len(other))
+    shared = np.sqrt(sums(one**2, (other != 0.0) + 0.0) * sums((one != 0.0) + 0.0, other**2))
+    alike = sums(one, other) / np.maximum(shared, 1e-9)
+    overlap = np.minimum(len(one), len(other) - lags) - np.maximum(0, -lags)
+    alike[(np.abs(lags) > LATEST * GRID_HZ) | (2 * overlap < min(len(one), len(other)))] = -1.0
+    peaks = np.flatnonzero((alike >= np.roll(alike, 1)) & (alike >= np.roll(alike, -1)) & (alike > -1.0))
+    return lags[peaks[np.argsort(-alike[peaks])[:DELAYS]]] / GRID_HZ
 
 
 def _speeds(track: PoseTrack) -> FloatArray:

@@ -21,7 +21,7 @@ from mimic.sources.video.decoding import Video, missing_bytes, open_video, true_
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
 from mimic.sources.video.pose_model import BUNDLE, HEAVY_BUNDLE, pose_model
-from mimic.sources.video.screening import jump_share, person_rows, upside_down
+from mimic.sources.video.screening import is_invented, jump_share, person_rows, posture
 from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
 
 log = logging.getLogger(__name__)
@@ -86,6 +86,7 @@ def track_video(
     """
     detections = _detect(Path(path), settings, progress)
     from mimic.sources.video.depth import with_depth  # SciPy takes a second: the detector need not wait for it
+    from mimic.sources.video.heading import with_heading
     from mimic.sources.video.smoothing import smooth
 
     _check_person(detections, settings)
@@ -120,6 +121,7 @@ def track_video(
     spread = np.full((len(t), 2), np.nan)
     if settings.depth:
         landmarks, spread = with_depth(t, landmarks, image, score, detections.size, shots)
+        landmarks = with_heading(landmarks, image, valid, detections.size, shots)
     return PoseTrack(
         t=t,
         landmarks=landmarks,
@@ -201,7 +203,13 @@ def _check_person(detections: _Detections, settings: PoseSettings) -> None:
             f"{detections.name} has {len(t)} frame{'s' * (len(t) > 1)} in {t[-1]:.2f} s, shorter than a sampling step; "
             f"use a video of at least {settings.min_duration:g} s"
         )
-    share = float(person_rows(detections.score, settings.min_visibility).mean())
+    rows = person_rows(detections.score, settings.min_visibility)
+    if is_invented(detections.landmarks, detections.image, rows, detections.size):
+        raise SourceError(
+            f"{detections.name} shows no person: what is found has limbs and a size that change from frame to frame; "
+            "film one whole person, without cuts, in a picture that is not squeezed"
+        )
+    share = float(rows.mean())
     if share < settings.min_person_share:
         raise SourceError(
             f"{detections.name} shows no person: both shoulders and a wrist are visible in {share:.0%} of its frames, "
@@ -256,5 +264,5 @@ def doubts(
             f"the person or a wrist jumps in {jumps:.0%} of the frames: the clip has cuts, shows several people, or "
             "the arms are hard to see; use a clip of one person, without cuts, from the front or a three-quarter view"
         )
-    if upside_down(image, valid):
-        yield "the shoulders are below the hips; if the video is upside down, rotate it"
+    if said := posture(landmarks, image, valid, size):
+        yield said

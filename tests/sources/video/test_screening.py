@@ -1,7 +1,7 @@
 import numpy as np
 
 from mimic.records import LANDMARKS
-from mimic.sources.video.screening import jump_share, person_rows, shot_starts, upside_down
+from mimic.sources.video.screening import is_invented, jump_share, person_rows, posture, shot_starts
 
 SIZE = (640, 480)
 
@@ -65,8 +65,22 @@ def test_frames_far_apart_may_move_further():
     assert jump_share(t * 3, landmarks, image, valid, SIZE, 0.25) == 0.0
 
 
-def test_a_person_on_their_head_is_noticed():
-    _, _, image, valid = standing()
-    assert not upside_down(image, valid)
-    assert upside_down(1 - image, valid)
-    assert not upside_down(1 - image, np.zeros_like(valid))
+def test_a_person_on_their_head_lying_or_squeezed_is_noticed():
+    _, landmarks, image, valid = standing()
+    assert posture(landmarks, image, valid, SIZE) == ""
+    assert "upside down" in posture(landmarks, 1 - image, valid, SIZE)
+    assert posture(landmarks, 1 - image, np.zeros_like(valid), SIZE) == ""
+    assert "turned by 90°" in posture(landmarks, image[..., ::-1], valid, SIZE)
+    assert "narrower" in posture(landmarks, image, valid, (SIZE[0] // 2, SIZE[1]))
+    assert "wider" in posture(landmarks, image, valid, (SIZE[0] * 2, SIZE[1]))
+
+
+def test_a_body_whose_limbs_and_size_change_all_the_time_is_invented():
+    _, landmarks, image, valid = standing()
+    rows = valid[:, 11]
+    assert not is_invented(landmarks, image, rows, SIZE)
+    rng = np.random.default_rng(1)
+    limbs = landmarks * rng.uniform(0.7, 1.3, (len(rows), 33, 1))
+    size = 0.5 + (image - 0.5) * rng.uniform(0.7, 1.3, (len(rows), 1, 1))
+    assert is_invented(limbs, size, rows, SIZE)
+    assert not is_invented(landmarks, size, rows, SIZE)
