@@ -127,6 +127,7 @@ def _frames(container: InputContainer, stream: VideoStream, damaged: list[float]
     import cv2
 
     stamp_ms, size, previous = 0.0, None, None
+    ordered = "avi" in container.format.name  # it stores no times of presentation
     with container:
         for packet in _packets(container, stream):
             try:
@@ -136,7 +137,8 @@ def _frames(container: InputContainer, stream: VideoStream, damaged: list[float]
                 continue
             for picture in pictures:
                 bgr = np.ascontiguousarray(np.rot90(picture.to_ndarray(format="bgr24"), round(picture.rotation / 90)))
-                stamp_ms = stamp_ms if picture.time is None else 1e3 * picture.time
+                ticks = picture.dts if ordered or picture.pts is None else picture.pts
+                stamp_ms = stamp_ms if ticks is None else 1e3 * float(ticks * stream.time_base)
                 size = size or picture_size(bgr, stream.sample_aspect_ratio, picture.rotation)
                 stride = max(1, min(bgr.shape[:2]) // 96)
                 small = cv2.resize(bgr[::stride, ::stride], _THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.int16)

@@ -2,10 +2,9 @@
 
 mediapipe 0.10.14 is the last release whose wheel carries the models of the detector and of the full landmarks; newer
 ones carry none. So its wheel comes once from the package registry that pip or uv is set up with. The two models are
-taken out of it by name, checked by SHA-256, and stored in a zip (a ``.task`` file). The heavy model of the landmarks,
-four times as slow and nearer to the truth on people, comes from mediapipe's package for browsers in npm's registry.
+taken out of it by name, checked by SHA-256, and stored in a zip (a ``.task`` file).
 
-The landmark models lack one thing that the Tasks API asks for: how pictures are normalised. It is added as TFLite
+The landmark model lacks one thing that the Tasks API asks for: how pictures are normalised. It is added as TFLite
 metadata; weights and graph stay as they are.
 """
 
@@ -14,14 +13,10 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import struct
-import tarfile
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from functools import partial
-from io import BytesIO
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
 
 from mimic.errors import AssetError
 from mimic.io.assets import user_cache
@@ -49,20 +44,7 @@ MODELS = {
 }
 """Name in a bundle -> name in the wheel, and SHA-256."""
 BUNDLE = f"blazepose_full_{RELEASE}.task"
-_DETECTOR, _LANDMARKS = MODELS
-
-HEAVY_PACKAGE, HEAVY_RELEASE = "@mediapipe/pose", "0.5.1675469404"
-"""The package in npm's registry that carries the heavy model of the landmarks (Apache-2.0), and its release."""
-HEAVY_ARCHIVE = f"mediapipe-pose-{HEAVY_RELEASE}.tgz"
-HEAVY_MODEL = (
-    "package/pose_landmark_heavy.tflite",
-    "59e42d71bcd44cbdbabc419f0ff76686595fd265419566bd4009ef703ea8e1fe",
-)
-"""Its name in that archive, and SHA-256."""
-HEAVY_BUNDLE = f"blazepose_heavy_{HEAVY_RELEASE}.task"
-
-Model = Literal["heavy"] | Path | None
-"""A bundle or mediapipe's wheel, the heavy model, or the default one."""
+_LANDMARKS = "pose_landmarks_detector.tflite"
 
 _MEAN, _STD = 0.0, 255.0
 """Normalisation of the landmark model: pictures are 0 to 1. The detector's model says -1 to 1 itself.
@@ -71,66 +53,42 @@ Source: mediapipe 0.10.14, modules/pose_landmark/pose_landmark_by_roi_cpu.pbtxt,
 """
 
 
-def is_here(given: Model = None) -> bool:
+def is_here(given: Path | None = None) -> bool:
     """Return whether `pose_model` needs no download."""
     folder = user_cache("models")
-    default = (folder / BUNDLE).is_file() or any(folder.glob(_WHEELS))
-    if given == "heavy":
-        return (folder / HEAVY_BUNDLE).is_file() or (default and (folder / HEAVY_ARCHIVE).is_file())
-    return given is not None or default
+    return given is not None or (folder / BUNDLE).is_file() or any(folder.glob(_WHEELS))
 
 
-def pose_model(given: Model = None, *, progress: Progress | None = None) -> Path:
+def pose_model(given: Path | None = None, *, progress: Progress | None = None) -> Path:
     """Return the bundle of the BlazePose models; at the first use it is made from the package that carries them.
 
     Args:
-        given: A bundle (.task) of another BlazePose model, or mediapipe's wheel 0.10.14; "heavy"; by default the cached
-            bundle of the full model.
-        progress: Called while a package is downloaded.
+        given: A bundle (.task) of another BlazePose model, or mediapipe's wheel 0.10.14; by default the cached bundle,
+            or one that is made of a wheel that a person put beside it or that is downloaded.
+        progress: Called while the package is downloaded.
 
     Raises:
         AssetError: If the file is neither, or the models are neither cached nor can be downloaded.
     """
-    folder = user_cache("models")
-    if given is None:
-        wheel = partial(download, f"mediapipe=={RELEASE}", progress=progress)
-        return _cached(folder / BUNDLE, _WHEELS, WHEEL, wheel)
-    if given == "heavy":
-        archive = partial(download, f"{HEAVY_PACKAGE}@{HEAVY_RELEASE}", npm=True, progress=progress)
-        return _cached(folder / HEAVY_BUNDLE, HEAVY_ARCHIVE, HEAVY_ARCHIVE, archive, pose_model(progress=progress))
-    if not given.is_file():
-        raise AssetError(f"there is no pose model {given}; give a .task file, {WHEEL}, or heavy")
-    if _names(given) >= set(MODELS):
-        return given
-    return _bundled(given, folder / BUNDLE)
-
-
-def _cached(
-    path: Path, kept: str, name: str, download: Callable[[], AbstractContextManager[Path]], full: Path | None = None
-) -> Path:
-    """Return a bundle in the cache, made there first from a package that a person put beside it or that is downloaded.
-
-    Args:
-        path: The bundle.
-        kept: Pattern of packages that a person may have put there.
-        name: Of such a package.
-        download: Yields the package.
-        full: Bundle whose detector is used, where the package holds landmarks only.
-    """
-    if path.is_file() and _names(path) >= set(MODELS):
-        return path
+    path = user_cache("models") / BUNDLE
+    if given is not None and not given.is_file():
+        raise AssetError(f"there is no pose model {given}; give a .task file or {WHEEL}")
+    if _names(given or path) >= set(MODELS):
+        return given or path
+    if given is not None:
+        return _bundled(given, path)
     with _locked(path.parent):
-        if path.is_file() and _names(path) >= set(MODELS):  # another process has made it meanwhile
+        if _names(path) >= set(MODELS):  # another process has made it meanwhile
             return path
-        if here := sorted(path.parent.glob(kept)):
-            return _bundled(here[0], path, full)
+        if here := sorted(path.parent.glob(_WHEELS)):
+            return _bundled(here[0], path)
         try:
-            with download() as package:
-                return _bundled(package, path, full)
+            with download(f"mediapipe=={RELEASE}", progress=progress) as package:
+                return _bundled(package, path)
         except RegistryError as reason:
             raise AssetError(
                 f"the BlazePose models are not on this computer and could not be downloaded ({reason}); get "
-                f"{name} from a package registry and put it into {path.parent}, or name a model with --pose-model "
+                f"{WHEEL} from a package registry and put it into {path.parent}, or name a model with --pose-model "
                 "FILE"
             ) from None
 
@@ -160,16 +118,13 @@ def _names(path: Path) -> set[str]:
         return set()
 
 
-def _bundled(source: Path, path: Path, full: Path | None = None) -> Path:
-    """Write the bundle of the models in a wheel, in the folder of an unpacked one, or in the archive of the heavy one.
+def _bundled(source: Path, path: Path) -> Path:
+    """Write the bundle of the models in a wheel, or in the folder of an unpacked one.
 
     Raises:
         AssetError: If one is missing there, or is another model.
     """
-    if full is None:
-        models = {name: _model(source, member, digest) for name, (member, digest) in MODELS.items()}
-    else:
-        models = {_DETECTOR: zipfile.ZipFile(full).read(_DETECTOR), _LANDMARKS: _model(source, *HEAVY_MODEL)}
+    models = {name: _model(source, member, digest) for name, (member, digest) in MODELS.items()}
     models[_LANDMARKS] = with_normalisation(models[_LANDMARKS], _MEAN, _STD)
     with written_whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
         for name, content in models.items():
@@ -185,13 +140,10 @@ def _model(source: Path, member: str, digest: str) -> bytes:
     try:
         if source.is_dir():
             content = (source / member).read_bytes()
-        elif source.suffix == ".tgz":
-            with tarfile.open(source) as archive, archive.extractfile(member) or BytesIO() as file:
-                content = file.read()
         else:
             with zipfile.ZipFile(source) as archive:
                 content = archive.read(member)
-    except (OSError, KeyError, zipfile.BadZipFile, tarfile.TarError):
+    except (OSError, KeyError, zipfile.BadZipFile):
         raise AssetError(
             f"{source.name} holds no BlazePose model {member}; give a .task file of mediapipe, or {WHEEL}"
         ) from None

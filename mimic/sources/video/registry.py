@@ -1,4 +1,4 @@
-"""Downloads a package from the registry that pip, uv or npm is set up with."""
+"""Downloads a package from the registry that pip or uv is set up with."""
 
 from __future__ import annotations
 
@@ -22,37 +22,28 @@ class RegistryError(Exception):
 
 
 @contextmanager
-def download(
-    package: str, *, npm: bool = False, progress: Callable[[int, int | None], None] | None = None
-) -> Iterator[Path]:
-    """Yield the wheel of a release, the folder of its content, or npm's archive (.tgz); it is removed after the block.
+def download(package: str, *, progress: Callable[[int, int | None], None] | None = None) -> Iterator[Path]:
+    """Yield the wheel of a release, or the folder of its content; it is removed after the block.
 
     The programs read the user's own settings of registries, proxies and certificates.
 
     Args:
         package: Name and release, as the program takes them.
-        npm: Whether it is in npm's registry; otherwise in that of pip and uv.
         progress: Called with the megabytes that are there, and None.
 
     Raises:
         RegistryError: If no program can download it.
     """
     reasons = []
-    for program, command in _npm() if npm else _programs():
+    for program, command in _programs():
         with tempfile.TemporaryDirectory(prefix="mimic-") as folder:
             error = _run([*command, package], Path(folder), progress)
             if error is None:
                 place = Path(folder) / "wheel"
-                yield next(Path(folder).glob("*.tgz"), next(place.glob("*.whl"), place))
+                yield next(place.glob("*.whl"), place)
                 return
             reasons.append(f"{program}: {error}")
-    lacking = "npm, which comes with Node.js, is not on the path" if npm else "neither pip nor uv is here"
-    raise RegistryError("; ".join(reasons) or lacking)
-
-
-def _npm() -> Iterator[tuple[str, list[str]]]:
-    if npm := shutil.which("npm"):
-        yield "npm", [npm, "pack", "--silent"]
+    raise RegistryError("; ".join(reasons) or "neither pip nor uv is here")
 
 
 def _programs() -> Iterator[tuple[str, list[str]]]:

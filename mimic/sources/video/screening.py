@@ -111,7 +111,7 @@ def unsteadiness(landmarks: FloatArray, image: FloatArray, rows: BoolArray, size
 
 
 def is_invented(landmarks: FloatArray, image: FloatArray, rows: BoolArray, size: tuple[int, int]) -> bool:
-    """Return whether a body that a detector found is none: neither its bones nor its size keep. As of `unsteadiness`."""
+    """Return whether a body that was found is none: neither its bones nor its size keep. Arguments: `unsteadiness`."""
     return bool((unsteadiness(landmarks, image, rows, size) > UNSTEADY).all()) if rows.sum() > 2 else False
 
 

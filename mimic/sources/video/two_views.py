@@ -20,6 +20,8 @@ LATEST = 2.0
 """One clip starts at most this long after the other [s]."""
 DELAYS = 8
 """Delays that are tried."""
+NEAR = 25.0
+"""Cameras that look along lines closer than this show no depth to each other [deg]: of six such pairs half lost."""
 GRID_HZ = 100.0
 """Rate at which their motion is compared [Hz]."""
 ACROSS, DEPTH = 0.03, 0.12
@@ -86,8 +88,12 @@ def merge_views(first: PoseTrack, second: PoseTrack, names: tuple[str, str]) -> 
             f"{100 * apart:.0f} cm apart; film one person with both at once, starting within {LATEST:g} s"
         )
     said = tuple(f"{names[1]}: {text}" for text in second.warnings)
+    fit = Fit(delay, turn, apart, unlike)
+    if fit.angle_deg < NEAR:
+        alone = f"{names[1]} is not used: its camera, {fit.angle_deg:.0f}° beside that of {names[0]}, adds no depth"
+        return replace(first, warnings=(*first.warnings, *said, alone)), fit
     merged = _with_lines(first, _mean(seen, other, turn))
-    return replace(merged, warnings=(*first.warnings, *said)), Fit(delay, turn, apart, unlike)
+    return replace(merged, warnings=(*first.warnings, *said)), fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,7 @@ from mimic.sources.video.blazepose import BlazePose, Everybody
 from mimic.sources.video.decoding import Video, missing_bytes, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
-from mimic.sources.video.pose_model import BUNDLE, HEAVY_BUNDLE, pose_model
+from mimic.sources.video.pose_model import BUNDLE, pose_model
 from mimic.sources.video.screening import is_invented, jump_share, person_rows, posture
 from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
 
@@ -143,8 +143,7 @@ def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
     this code.
     """
     given = settings.pose_model
-    named = HEAVY_BUNDLE if given == "heavy" else BUNDLE
-    model = sha256_of(given) if isinstance(given, Path) and given.is_file() else named
+    model = sha256_of(given) if given is not None and given.is_file() else BUNDLE
     others = plain(replace(settings, pose_model=None, also=None))
     parts = [sha256_of(path), others, model, f"mediapipe {version('mediapipe')}", ALGORITHM]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

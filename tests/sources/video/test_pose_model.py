@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import stat
-import tarfile
 import zipfile
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pytest
 from mimic.errors import AssetError
 from mimic.io.assets import user_cache
 from mimic.sources.video.blazepose import BlazePose
-from mimic.sources.video.pose_model import BUNDLE, HEAVY_ARCHIVE, MODELS, WHEEL, is_here, pose_model
+from mimic.sources.video.pose_model import BUNDLE, MODELS, WHEEL, is_here, pose_model
 
 
 @pytest.fixture(scope="module")
@@ -108,27 +107,13 @@ def test_a_file_without_the_models_is_refused(cache, tmp_path, make, reason):
 
 
 def test_another_bundle_is_used_as_it_is(cache, tmp_path):
-    given = wheel_like(tmp_path / "heavy.task", **{name: b"x" for name in MODELS})
+    given = wheel_like(tmp_path / "other.task", **{name: b"x" for name in MODELS})
     assert pose_model(given) == given
 
 
-def test_the_heavy_model_is_made_from_its_own_archive_or_one_line_says_which(bundle, cache, offline, monkeypatch):
-    shutil.copy(bundle, _folder(cache) / BUNDLE)
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(AssetError, match="npm, which comes with") as refusal:
-        pose_model("heavy")
-    assert HEAVY_ARCHIVE in str(refusal.value)
-    assert not is_here("heavy")
-    with tarfile.open(cache / HEAVY_ARCHIVE, "w:gz") as archive:
-        archive.add(bundle, "package/pose_landmark_heavy.tflite")
-    assert is_here("heavy")
-    with pytest.raises(AssetError, match=r"pose_landmark_heavy\.tflite in .* is not that of mediapipe"):
-        pose_model("heavy")
-
-
 def test_a_bundle_that_mediapipe_refuses_gives_one_line(tmp_path, capfd):
-    given = wheel_like(tmp_path / "heavy.task", **{name: b"x" * 64 for name in MODELS})
-    with pytest.raises(AssetError, match=r"cannot use the pose model .*heavy\.task") as refusal, BlazePose(given):
+    given = wheel_like(tmp_path / "other.task", **{name: b"x" * 64 for name in MODELS})
+    with pytest.raises(AssetError, match=r"cannot use the pose model .*other\.task") as refusal, BlazePose(given):
         pass
     assert "\n" not in str(refusal.value)
     assert capfd.readouterr().err == ""
