@@ -1,10 +1,10 @@
 """How well the depth of the arms is known: clips with truth, with the detector's depth and the estimated one.
 
-    python -m lab.people.depth VIDEO [...] [VIEWS ...] [--pose-model heavy]
+    python -m lab.people.depth VIDEO [...] [VIEWS ...] [--pose-model FILE]
 
 Beside each VIDEO.mp4 lies VIDEO.npz with `t`, `names` and `joints` in camera axes (examples/videos, or what
 lab/people/depth_clips.py --video wrote). VIEWS is a folder of views of one real person by calibrated cameras: videos,
-Calib.qca.txt and triangulated_blazepose.npz. Toe targets are compared with those of the truth, and what is declared of
+Calib.qca.txt and triangulated_blazepose.npz, or cam_N.mp4, camera_array.toml of caliscope and ch_truth.npz. Toe targets are compared with those of the truth, and what is declared of
 the wrists' depth with its error, in fifths of the frames from the surest. What was detected is kept: another method
 of estimating depth is judged without the detector. Each pair of VIEWS is also judged as two videos of one person
 (``mimic VIDEO --also OTHER``).
@@ -13,6 +13,7 @@ of estimating depth is judged without the detector. Each pair of VIEWS is also j
 from __future__ import annotations
 
 import argparse
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -40,7 +41,7 @@ WRISTS, SHOULDERS = (
 
 def true_track(path: Path, like: PoseTrack) -> PoseTrack:
     """Return the truth of a clip as a pose track, at the times of another."""
-    if path.parent.joinpath("Calib.qca.txt").is_file():
+    if is_view(path):
         return _as_track(_seen_by(path), like)
     stored = np.load(path.with_suffix(".npz"))
     landmarks = np.full((len(like.t), 33, 3), np.nan)
@@ -52,6 +53,11 @@ def true_track(path: Path, like: PoseTrack) -> PoseTrack:
     return _as_track(landmarks, like)
 
 
+def is_view(path: Path) -> bool:
+    """Return whether a clip is one of several by calibrated cameras."""
+    return any(path.parent.joinpath(name).is_file() for name in ("Calib.qca.txt", "camera_array.toml"))
+
+
 def _as_track(landmarks: np.ndarray, like: PoseTrack) -> PoseTrack:
     valid = np.isfinite(landmarks).all(axis=-1)
     return replace(
@@ -61,6 +67,9 @@ def _as_track(landmarks: np.ndarray, like: PoseTrack) -> PoseTrack:
 
 def _seen_by(view: Path) -> np.ndarray:
     """Return the triangulated points (T, 33, 3) in the axes of one of the cameras [m]."""
+    if (calibration := view.parent / "camera_array.toml").is_file():
+        turn = tomllib.loads(calibration.read_text())["cameras"][view.stem.removeprefix("cam_")]["rotation"]
+        return np.load(view.parent / "ch_truth.npz")["xyz"] @ np.array(turn).T
     cameras = ElementTree.parse(view.parent / "Calib.qca.txt").iter("camera")
     turn = next(camera for camera in cameras if camera.get("serial") == view.stem).find("transform")
     assert turn is not None
@@ -137,14 +146,14 @@ def two_views(views: dict[str, tuple[PoseTrack, PoseTrack]], reach: Reach) -> No
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("clips", nargs="+", type=Path)
-    parser.add_argument("--pose-model", default=None)
+    parser.add_argument("--pose-model", type=Path, default=None)
     options = parser.parse_args()
     settings = PoseSettings(depth=False, pose_model=options.pose_model)
     reach = Reach(load_description("cyberdog2"))
     print("| clip | true heading, off | detector alone: r, gain, RMSE, targets apart | with depth |\n|---|---|---|---|")
     figures, errors, views = {"people": [], "rendered": []}, {"people": [], "rendered": []}, {}
     for path in [clip for given in options.clips for clip in (sorted(given.glob("*.mp4")) or [given])]:
-        kind = "people" if path.parent.joinpath("Calib.qca.txt").is_file() else "rendered"
+        kind = "people" if is_view(path) else "rendered"
         detected = track_video(path, settings)
         true = true_track(path, detected)
         seen = estimated(detected)
