@@ -4,9 +4,10 @@
 
 Beside each VIDEO.mp4 lies VIDEO.npz with `t`, `names` and `joints` in camera axes (examples/videos, or what
 lab/people/depth_clips.py --video wrote). VIEWS is a folder of views of one real person by calibrated cameras: videos,
-Calib.qca.txt and triangulated_blazepose.npz, or cam_N.mp4, camera_array.toml of caliscope and ch_truth.npz. Toe targets are compared with those of the truth, and what is declared of
-the wrists' depth with its error, in fifths of the frames from the surest. What was detected is kept: another method
-of estimating depth is judged without the detector. Each pair of VIEWS is also judged as two videos of one person
+Calib.qca.txt and triangulated_blazepose.npz, or cam_N.mp4, camera_array.toml of caliscope and ch_truth.npz. Toe targets
+are compared with those of the truth, and what is declared of the wrists' depth with its error, in fifths of the frames
+from the surest. What was detected is kept: another method of
+estimating depth is judged without the detector. Each pair of VIEWS is also judged as two videos of one person
 (``mimic VIDEO --also OTHER``).
 """
 

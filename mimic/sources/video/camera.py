@@ -266,7 +266,8 @@ def _run_camera(
                 frame = next(video.frames)
                 first = frame.rgb
                 given = _play_file, (chain([frame], video.frames), latest, pipe)
-            detect, everybody = (stack.enter_context(kind(pose.pose_model)) for kind in (BlazePose, Everybody))
+            detect = stack.enter_context(BlazePose(pose.pose_model))
+            everybody = stack.enter_context(Everybody(pose.pose_model))
             people = People(everybody, None, camera, hint)
             detect(people.show(0.0, first))  # warm-up: the first detection is slow
             pipe.send(True)

@@ -127,6 +127,7 @@ def _frames(container: InputContainer, stream: VideoStream, damaged: list[float]
     import cv2
 
     stamp_ms, size, previous = 0.0, None, None
+    tick_ms = 1e3 * float(stream.time_base or 0)
     ordered = "avi" in container.format.name  # it stores no times of presentation
     with container:
         for packet in _packets(container, stream):
@@ -138,7 +139,7 @@ def _frames(container: InputContainer, stream: VideoStream, damaged: list[float]
             for picture in pictures:
                 bgr = np.ascontiguousarray(np.rot90(picture.to_ndarray(format="bgr24"), round(picture.rotation / 90)))
                 ticks = picture.dts if ordered or picture.pts is None else picture.pts
-                stamp_ms = stamp_ms if ticks is None else 1e3 * float(ticks * stream.time_base)
+                stamp_ms = stamp_ms if ticks is None else tick_ms * ticks
                 size = size or picture_size(bgr, stream.sample_aspect_ratio, picture.rotation)
                 stride = max(1, min(bgr.shape[:2]) // 96)
                 small = cv2.resize(bgr[::stride, ::stride], _THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.int16)
@@ -147,7 +148,7 @@ def _frames(container: InputContainer, stream: VideoStream, damaged: list[float]
                 previous = small
 
 
-def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet]:
+def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet[VideoStream]]:
     """Yield the packets of a stream; a damaged place in the container is passed over while anything follows it."""
     import av
 

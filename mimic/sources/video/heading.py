@@ -45,8 +45,8 @@ def with_heading(
             half = (landmarks[rows, left[0]] - landmarks[rows, right[0]]) / 2
             x, z = half[:, 0], half[:, 2]
             moved = np.stack([c * x - s * z - x, np.zeros(len(x)), s * x + c * z - z], axis=-1)[:, None]
-            result[np.ix_(rows, left)] += moved
-            result[np.ix_(rows, right)] -= moved
+            result[rows[:, None], left] += moved
+            result[rows[:, None], right] -= moved
     return result
 
 
@@ -57,7 +57,8 @@ def _turn(landmarks: FloatArray, pixels: FloatArray, valid: BoolArray, size: tup
     if not rows.any():
         return 0.0
     line = landmarks[:, shoulders[0]] - landmarks[:, shoulders[1]]
-    line = line + valid[:, hips].all(axis=1)[:, None] * (landmarks[:, hips[0]] - landmarks[:, hips[1]])
+    hips_seen: BoolArray = valid[:, hips].all(axis=1)
+    line = line + hips_seen[:, None] * (landmarks[:, hips[0]] - landmarks[:, hips[1]])
     middle = pixels[rows][:, shoulders].mean(axis=1)
     aside = np.arctan((np.median(middle[:, 0]) - size[0] / 2) / (FOCAL * max(size)))
     x, _, z = np.median(line[rows], axis=0)

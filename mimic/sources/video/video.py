@@ -260,8 +260,8 @@ def doubts(
         )
     elif jumps > settings.max_jump_share:
         yield (
-            f"the person or a wrist jumps in {jumps:.0%} of the frames, as where arms are hard to see or several people "
-            "are; use a clip of one person from the front or a three-quarter view"
+            f"the person or a wrist jumps in {jumps:.0%} of the frames, as where arms are hard to see or several "
+            "people are; use a clip of one person from the front or a three-quarter view"
         )
     if said := posture(landmarks, image, valid, size):
         yield said
