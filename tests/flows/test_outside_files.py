@@ -629,6 +629,19 @@ def test_turns_of_an_encoder_are_not_radians(steps, tmp_path):
     read_log(parquet(tmp_path / "b.parquet", q__a=ticks[:, 0], q__b=np.round(ticks[:, 1], 4)))
 
 
+@pytest.mark.parametrize(("mark", "rows"), [(9999.0, slice(None, None, 97)), (-1000.0, slice(30, 34))])
+def test_a_mark_among_the_readings_is_no_unit(mark, rows, tmp_path):
+    angles = ANGLES.copy()
+    angles[rows, 0] = mark
+    refused(parquet(tmp_path / "a.parquet", q__a=angles[:, 0], q__b=angles[:, 1]), f"q.a is {mark:g} in", "no reading")
+
+
+def test_percent_of_a_range_is_offered_beside_degrees(tmp_path):
+    percent = 90.0 * ANGLES / np.abs(ANGLES).max()
+    path = parquet(tmp_path / "a.parquet", q__a=percent[:, 0], q__b=percent[:, 1])
+    refused(path, "degrees (57.3 a radian)", "percent of the joint's range, as LeRobot has it")
+
+
 @pytest.mark.parametrize("bits", [10, 16, 32])
 def test_ticks_with_a_sign_bit_are_said(bits, tmp_path):
     ticks = np.round(ANGLES * 4096 / (2 * np.pi)).astype(np.int64)

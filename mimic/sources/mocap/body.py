@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.records import SIDES, BoolArray, FloatArray
+from mimic.records import SIDES, FloatArray
 from mimic.sources.mocap.points import Points
 
 LONGER, SHORTER = 1.6, 0.2
@@ -91,7 +91,7 @@ def _usual(lengths: FloatArray) -> FloatArray:
 
 def marks_said(before: Points, after: Points) -> Iterator[str]:
     """Yield which landmarks were taken as not seen, and when."""
-    lost: BoolArray = np.isfinite(before.xyz).all(axis=-1) & ~np.isfinite(after.xyz).all(axis=-1)
+    lost = np.logical_and(np.isfinite(before.xyz).all(axis=-1), np.isnan(after.xyz).any(axis=-1))
     said = []
     for i in np.flatnonzero(lost.any(axis=0)):
         rows = np.flatnonzero(lost[:, i])

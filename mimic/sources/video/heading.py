@@ -57,8 +57,7 @@ def _turn(landmarks: FloatArray, pixels: FloatArray, valid: BoolArray, size: tup
     if not rows.any():
         return 0.0
     line = landmarks[:, shoulders[0]] - landmarks[:, shoulders[1]]
-    hips_seen: BoolArray = valid[:, hips].all(axis=1)
-    line = line + hips_seen[:, None] * (landmarks[:, hips[0]] - landmarks[:, hips[1]])
+    line = line + valid[:, hips].min(axis=1, keepdims=True) * (landmarks[:, hips[0]] - landmarks[:, hips[1]])
     middle = pixels[rows][:, shoulders].mean(axis=1)
     aside = np.arctan((np.median(middle[:, 0]) - size[0] / 2) / (FOCAL * max(size)))
     x, _, z = np.median(line[rows], axis=0)

@@ -141,7 +141,7 @@ def _delays(first: PoseTrack, second: PoseTrack) -> FloatArray:
     one, other = (_speeds(track) for track in (first, second))
 
     def sums(of: FloatArray, to: FloatArray) -> FloatArray:
-        return sum(np.correlate(b, a, "full") for a, b in zip(of.T, to.T, strict=True))
+        return np.sum([np.correlate(b, a, "full") for a, b in zip(of.T, to.T, strict=True)], axis=0)
 
     lags = np.arange(1 - len(one), len(other))
     shared = np.sqrt(sums(one**2, (other != 0.0) + 0.0) * sums((one != 0.0) + 0.0, other**2))

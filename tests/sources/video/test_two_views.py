@@ -94,6 +94,14 @@ def test_an_arm_that_one_view_does_not_show_comes_from_the_other_one():
     assert np.linalg.norm(arms(merged.landmarks) - arms(TRUE), axis=-1)[30:60].mean() < 0.2
 
 
+def test_a_camera_beside_the_first_one_adds_nothing_and_a_note_says_so():
+    beside = Rotation.from_euler("y", 12, degrees=True)
+    merged, fit = merge_views(FRONT, seen_by(beside, T, TRUE), ("front.mp4", "beside.mp4"))
+    assert fit.angle_deg < 25
+    np.testing.assert_array_equal(merged.landmarks, FRONT.landmarks)
+    assert any("beside.mp4 is not used" in text for text in merged.warnings)
+
+
 def test_videos_of_different_motions_are_refused_in_one_line():
     with pytest.raises(
         SourceError, match=r"^front\.mp4 and other\.mp4 do not show the same motion.* cm apart"
