@@ -601,47 +601,6 @@ def test_a_number_that_stands_for_no_reading_is_none():
     assert np.nanmax(np.abs(check.log.q)) < 1.0
 
 
-@pytest.mark.parametrize(("mark", "rows"), [(9999.0, slice(30, 1000, 97)), (-1e30, slice(0, 40)), (65535.0, [5, 9])])
-def test_any_far_number_that_occurs_again_is_no_reading(mark, rows, tmp_path):
-    q = np.array(ANGLES[:, 0])
-    q[rows] = mark
-    check = check_log(read_log(parquet(tmp_path / "a.parquet", q__a=q)))
-    assert f"q.a is {mark:.10g} in {np.sum(q == mark)} of {len(q)} rows, which is no reading" in check.warnings
-
-
-def test_numbers_that_a_joint_may_come_to_are_readings(tmp_path):
-    q = np.array(ANGLES[:, 0])
-    q[q > 0.9 * q.max()] = 0.9 * q.max()
-    log = read_log(parquet(tmp_path / "a.parquet", q__a=q))
-    assert without_marks(log)[1] == []
-    assert np.array_equal(without_marks(log)[0].q, log.q)
-
-
-@pytest.mark.parametrize("steps", [1024, 16384])
-def test_turns_of_an_encoder_are_not_radians(steps, tmp_path):
-    turned = np.round(ANGLES / (2 * np.pi) * steps) / steps
-    path = parquet(tmp_path / "a.parquet", q__a=turned[:, 0], q__b=turned[:, 1])
-    refused(path, f"q.a has steps of 1/{steps}", "turns", "factor of 6.28")
-    assert read_log(path, {"units": "rad"}).q == pytest.approx(turned)
-    in_degrees = parquet(tmp_path / "c.parquet", q__a=360 * turned[:, 0], q__b=360 * turned[:, 1])
-    refused(in_degrees, "not radians", "degrees (57.3 a radian)")
-    ticks = np.round(ANGLES / (2 * np.pi) * steps) * 2 * np.pi / steps
-    read_log(parquet(tmp_path / "b.parquet", q__a=ticks[:, 0], q__b=np.round(ticks[:, 1], 4)))
-
-
-@pytest.mark.parametrize(("mark", "rows"), [(9999.0, slice(None, None, 97)), (-1000.0, slice(30, 34))])
-def test_a_mark_among_the_readings_is_no_unit(mark, rows, tmp_path):
-    angles = ANGLES.copy()
-    angles[rows, 0] = mark
-    refused(parquet(tmp_path / "a.parquet", q__a=angles[:, 0], q__b=angles[:, 1]), f"q.a is {mark:g} in", "no reading")
-
-
-def test_percent_of_a_range_is_offered_beside_degrees(tmp_path):
-    percent = 90.0 * ANGLES / np.abs(ANGLES).max()
-    path = parquet(tmp_path / "a.parquet", q__a=percent[:, 0], q__b=percent[:, 1])
-    refused(path, "degrees (57.3 a radian)", "percent of the joint's range, as LeRobot has it")
-
-
 @pytest.mark.parametrize("bits", [10, 16, 32])
 def test_ticks_with_a_sign_bit_are_said(bits, tmp_path):
     ticks = np.round(ANGLES * 4096 / (2 * np.pi)).astype(np.int64)
