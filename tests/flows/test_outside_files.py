@@ -25,7 +25,7 @@ from mimic.flows.camera import follow_camera
 from mimic.flows.machine_log import predict_log, simulate_log
 from mimic.flows.motion import InputSettings, as_motion, load_motion, motion_from_text, retarget, track_video
 from mimic.flows.reporter import SilentReporter
-from mimic.io.joint_log import read_log, without_marks
+from mimic.io.joint_log import read_log
 from mimic.records import PoseTrack, WristTrack
 from mimic.retargeting.commands import command_track
 from mimic.retargeting.wrists import wrist_track
