@@ -25,7 +25,7 @@ from mimic.flows.camera import follow_camera
 from mimic.flows.machine_log import predict_log, simulate_log
 from mimic.flows.motion import InputSettings, as_motion, load_motion, motion_from_text, retarget, track_video
 from mimic.flows.reporter import SilentReporter
-from mimic.io.joint_log import read_log
+from mimic.io.joint_log import read_log, without_marks
 from mimic.records import PoseTrack, WristTrack
 from mimic.retargeting.commands import command_track
 from mimic.retargeting.wrists import wrist_track
@@ -599,6 +599,34 @@ def test_a_number_that_stands_for_no_reading_is_none():
     check = check_log(log)
     assert "q.a is 9999 in 8 of 700 rows, which is no reading" in check.warnings
     assert np.nanmax(np.abs(check.log.q)) < 1.0
+
+
+@pytest.mark.parametrize(("mark", "rows"), [(9999.0, slice(30, 1000, 97)), (-1e30, slice(0, 40)), (65535.0, [5, 9])])
+def test_any_far_number_that_occurs_again_is_no_reading(mark, rows, tmp_path):
+    q = np.array(ANGLES[:, 0])
+    q[rows] = mark
+    check = check_log(read_log(parquet(tmp_path / "a.parquet", q__a=q)))
+    assert f"q.a is {mark:.10g} in {np.sum(q == mark)} of {len(q)} rows, which is no reading" in check.warnings
+
+
+def test_numbers_that_a_joint_may_come_to_are_readings(tmp_path):
+    q = np.array(ANGLES[:, 0])
+    q[q > 0.9 * q.max()] = 0.9 * q.max()
+    log = read_log(parquet(tmp_path / "a.parquet", q__a=q))
+    assert without_marks(log)[1] == []
+    assert np.array_equal(without_marks(log)[0].q, log.q)
+
+
+@pytest.mark.parametrize("steps", [1024, 16384])
+def test_turns_of_an_encoder_are_not_radians(steps, tmp_path):
+    turned = np.round(ANGLES / (2 * np.pi) * steps) / steps
+    path = parquet(tmp_path / "a.parquet", q__a=turned[:, 0], q__b=turned[:, 1])
+    refused(path, f"q.a has steps of 1/{steps}", "turns", "factor of 6.28")
+    assert read_log(path, {"units": "rad"}).q == pytest.approx(turned)
+    in_degrees = parquet(tmp_path / "c.parquet", q__a=360 * turned[:, 0], q__b=360 * turned[:, 1])
+    refused(in_degrees, "not radians", "degrees (57.3 a radian)")
+    ticks = np.round(ANGLES / (2 * np.pi) * steps) * 2 * np.pi / steps
+    read_log(parquet(tmp_path / "b.parquet", q__a=ticks[:, 0], q__b=np.round(ticks[:, 1], 4)))
 
 
 @pytest.mark.parametrize("bits", [10, 16, 32])
