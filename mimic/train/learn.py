@@ -6,7 +6,6 @@ import contextlib
 import io
 import json
 import math
-import time
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path

@@ -17,9 +17,9 @@ from tensordict import TensorDict
 
 from mimic.config.rewards import REFINING_TERMS, RESTING_TERMS
 from mimic.config.training import MdpSettings
-from mimic.errors import ConfigError
 from mimic.dynamics.cuda_graphs import Replayed
 from mimic.dynamics.robot_model import command_in_effect
+from mimic.errors import ConfigError
 from mimic.geometry import heading_sin_cos, upright_cosine
 from mimic.io.store import plain
 from mimic.policy.contract import (
@@ -35,8 +35,8 @@ from mimic.policy.contract import (
     with_slow_mean,
 )
 from mimic.records import JOINTS, LEGS
-from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.arm_torques import ArmTorques
+from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN
 from mimic.robot.leg_kinematics import front_toes
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
@@ -78,6 +78,7 @@ squared changes of the action, drift [m], and speed of a hind toe on the ground 
 
 BEARS = 0.2
 """A foot is planted that bears this share of the robot's weight."""
+
 
 def kept_tensors(value: Any) -> dict[Any, torch.Tensor]:
     """Return the tensors of an attribute that have memory of their own."""
