@@ -36,6 +36,12 @@ def solved(monkeypatch):
     monkeypatch.setattr("mimic.train.worlds.LINE_SEARCHES", 50)
 
 
+def newest_frame(env: StandTrackEnv) -> torch.Tensor:
+    """Return the newest frame of the first world's observation."""
+    history, width = env.settings.history, env.contract.frame_size
+    return env.get_observations()["policy"][0, : history * width].reshape(history, width)[-1]
+
+
 def make(description, **changes: object) -> StandTrackEnv:
     settings = MdpSettings(
         worlds=1,
@@ -92,7 +98,7 @@ def test_slope_payload_and_pull_are_those_of_the_simulation(description):
 
 def test_on_a_slope_down_is_seen_where_it_is(description):
     env = make(description, disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0)))
-    seen = env.get_observations()["policy"].reshape(env.settings.history, -1)[-1, env.contract.columns("down")]
+    seen = newest_frame(env)[env.contract.columns("down")]
     gravity = quat_rotate(env.worlds.slope_quat, torch.tensor([[0.0, 0.0, -1.0]]), inverse=True)
     expected = quat_rotate(env.worlds.qpos[:, 3:7], gravity, inverse=True)[0]
     assert torch.allclose(seen, expected, atol=1e-5)
@@ -100,7 +106,7 @@ def test_on_a_slope_down_is_seen_where_it_is(description):
 
 def test_a_tilted_imu_sees_another_down(description):
     env = make(description, disturbances=dataclasses.replace(UNDISTURBED, imu_tilt=(3.0, 3.0)))
-    seen = env.get_observations()["policy"].reshape(env.settings.history, -1)[-1, env.contract.columns("down")].numpy()
+    seen = newest_frame(env)[env.contract.columns("down")].numpy()
     true = quat_rotate(env.worlds.qpos[:, 3:7], torch.tensor([[0.0, 0.0, -1.0]]), inverse=True)[0].numpy()
     angle = np.rad2deg(np.arccos(np.clip(seen @ true / np.linalg.norm(seen) / np.linalg.norm(true), -1, 1)))
     assert 0.0 < angle <= 3.01

@@ -16,7 +16,7 @@ WIDTH = 0.70
 LEANING = 0.85
 """A greater one is of a trunk that leans to the camera, and tells nothing."""
 SHARE = 0.5
-"""Share of the shoulders' width in the heading; chosen with WIDTH by leaving out one person of four in turn."""
+"""Share of the shoulders' width in the heading; fitted with WIDTH to two real men and two rendered bodies."""
 FOCAL = 0.75
 """Focal length of a camera of which nothing is known [longer sides of the picture]."""
 
