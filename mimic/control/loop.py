@@ -236,11 +236,11 @@ def _sit_down(run: Run, policy: Policy, ticks: int) -> None:
 
 
 def _damp(run: Run) -> None:
-    """Damp with the motors' highest velocity gain until the supervisor finds that the robot rests."""
+    """Damp with the motors' highest velocity gain until the supervisor finds that the robot rests, or it was left."""
     d = run.plant.description
-    kd = d.kd_max
-    while run.mode < SafetyMode.STOPPED:
-        run.hold(damping_command(np.clip(run.sensed.q, d.q_min, d.q_max), kd), DAMP)
+    while run.mode < SafetyMode.STOPPED and run.plant.damp():
+        run.hold(damping_command(np.clip(run.sensed.q, d.q_min, d.q_max), d.kd_max), DAMP)
+    run.decide("at_rest", SafetyMode.STOPPED, "the process that sends has ended")
 
 
 def _joined(samples: list[JointSamples]) -> JointSamples | None:

@@ -24,6 +24,13 @@ class Plant(Protocol):
         """Send a command, let one control step pass, and return the state, the health and the command that was sent."""
         ...
 
+    def damp(self) -> bool:
+        """Have the robot damped for good; return whether it still is, so that time may pass by steps.
+
+        Whatever is sent afterwards, the robot is not driven again.
+        """
+        ...
+
     def close(self) -> None:
         """Leave the robot damped. Safe to call twice."""
         ...

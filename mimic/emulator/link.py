@@ -51,6 +51,9 @@ class EmulatedLink:
                 raise BusError(f"bus {bus} is unplugged")
         return self._host.heard.popleft() if self._host.heard else None
 
+    def reopen(self, bus: int) -> None:
+        """Do nothing: a bus that was unplugged works again as soon as it is plugged in."""
+
     def close(self) -> None:
         """Leave the buses; the robot continues with its last commands."""
         self._robot.disconnect(self._host)

@@ -105,6 +105,9 @@ class MotorBus:
         self._unasked = np.zeros(len(JOINTS), dtype=int)
         self.bits: FloatArray = np.zeros(wiring.buses)
         """Bits on each bus so far, as this computer saw the frames (buses,)."""
+        self.taken: FloatArray = np.full(wiring.buses, link.now())
+        self.heard: FloatArray = np.full(wiring.buses, link.now())
+        """When each bus took, and said, anything last (buses,) [s]."""
         self._frames = 0
         self._bits_of_kind: dict[tuple[int, int], int] = {}
 
@@ -118,6 +121,7 @@ class MotorBus:
         """
         bus = int(self.wiring.bus[joint])
         self.link.send(bus, frame)
+        self.taken[bus] = self.link.now()
         self._count_bits(bus, frame)
         self._sent.append((self.link.now(), bus, frame))
         self._owed[joint] = min(self._owed[joint] + 1, _OWED)
@@ -141,6 +145,7 @@ class MotorBus:
     def _take(self, received: Received) -> None:
         """Keep what a frame says."""
         bus, frame, t = received
+        self.heard[bus] = t
         self._count_bits(bus, frame)
         try:
             if bus == self.wiring.imu.bus and self.imu.feed(frame, t):

@@ -238,12 +238,17 @@ class BoardDriver:
         """Send a command; a message holds those of all joints.
 
         Raises:
-            FrameError: If it is not finite.
+            FrameError: If it is not finite, or has gains that the board does not take.
         """
         if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
             raise FrameError("a command holds numbers that are not finite")
         wiring, report = self._joints, self.report
-        kp, kd = np.clip(command.kp, 0.0, wiring.kp_max), np.clip(command.kd, 0.0, wiring.kd_max)
+        kp, kd = command.kp, command.kd
+        if kp.max() > wiring.kp_max or kd.max() > wiring.kd_max:
+            raise FrameError(
+                f"a command has Kp {kp.max():g} and Kd {kd.max():g}; {self.name} takes up to {wiring.kp_max:g} and "
+                f"{wiring.kd_max:g}"
+            )
         q, dq, tau = self._followed(command, kp, kd)
         dq, tau = (np.clip(v, -most, most) for v, most in ((dq, wiring.velocity_max), (tau, wiring.torque_max)))
         self._send(q, dq, kp, kd, tau)
@@ -255,8 +260,10 @@ class BoardDriver:
 
     def damp(self) -> None:
         """Send damping."""
-        q, zero = self.report["q"], np.zeros(len(JOINTS))
-        self._send(np.where(np.isfinite(q), q, 0.0), zero, zero, np.full(len(JOINTS), self._kd), zero)
+        report, zero = self.report, np.zeros(len(JOINTS))
+        q = np.where(np.isfinite(report["q"]), report["q"], 0.0)
+        self._send(q, zero, zero, np.full(len(JOINTS), self._kd), zero)
+        report["q_sent"], report["kp_sent"], report["kd_sent"] = q, zero, self._kd
 
     def _send(self, q: FloatArray, dq: FloatArray, kp: FloatArray, kd: FloatArray, tau: FloatArray) -> None:
         """Send a message with these values of all joints (12,)."""

@@ -126,7 +126,7 @@ class Driver(Protocol):
         """Send a command to these joints; where the way to the robot fails, ``problem`` says so.
 
         Raises:
-            FrameError: If it is not finite.
+            FrameError: If it is not finite, or the robot does not take its gains.
         """
         ...
 
