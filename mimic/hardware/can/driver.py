@@ -245,14 +245,14 @@ class CanDriver:
             except BusError as reason:
                 self._fail(reason)
             self._note_sent(sent, [joint])
-        self._open_again(now)
+        self._open_again(ALL, now)
 
-    def _open_again(self, now: float) -> None:
-        """Begin to open the buses again that fail."""
+    def _open_again(self, joints: Sequence[int], now: float) -> None:
+        """Begin to open the buses of joints again that fail."""
         motor_bus = self.motor_bus
         refuses = now - np.maximum(motor_bus.taken, self._tried) > REFUSES
         silent = now - np.maximum(motor_bus.heard, self._tried) > DEAD
-        for bus in np.flatnonzero(refuses | silent):
+        for bus in np.intersect1d(np.flatnonzero(refuses | silent), motor_bus.wiring.bus[list(joints)]):
             self._tried[bus] = now
             motor_bus.link.reopen(int(bus))
 
@@ -281,7 +281,7 @@ class CanDriver:
                 self._stop([joint])
             except BusError as reason:
                 self._fail(reason)
-        self._open_again(now)
+        self._open_again(self._left, now)
         return None
 
     @property
@@ -296,9 +296,10 @@ class CanDriver:
     def _left_as(self) -> str:
         if not self._left:
             return "the robot was damped and all motors are off"
-        if self.lost:
-            return f"the motors could not be stopped: {self.problem}; cut the power"
-        names = "all motors" if len(self._left) == len(ALL) else ", ".join(JOINTS[j] for j in self._left)
+        names = "the motors" if len(self._left) == len(ALL) else ", ".join(JOINTS[j] for j in self._left)
+        refused = self.now() - self.motor_bus.taken[self.motor_bus.wiring.bus[self._left]] > DEAD
+        if refused.all():
+            return f"{names} could not be stopped: {self.problem}; cut the power"
         return f"damping was sent, but {names} did not confirm that they are off: cut the power"
 
     def close(self) -> None:
