@@ -240,7 +240,7 @@ def _damp(run: Run) -> None:
     d = run.plant.description
     while run.mode < SafetyMode.STOPPED and run.plant.damp():
         run.hold(damping_command(np.clip(run.sensed.q, d.q_min, d.q_max), d.kd_max), DAMP)
-    run.decide("at_rest", SafetyMode.STOPPED, "the process that sends has ended")
+    run.decide("at_rest", SafetyMode.STOPPED, "the process that sends has left the robot")
 
 
 def _joined(samples: list[JointSamples]) -> JointSamples | None:

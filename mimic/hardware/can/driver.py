@@ -235,13 +235,13 @@ class CanDriver:
         q, _, _ = motor_bus.readings(-np.inf)
         q = np.clip(np.where(np.isnan(q), d.poses["lie"], q), d.q_min, d.q_max)
         damping, self._damped = damping_command(q, d.kd_max), now
-        if self._dry:
-            self._note_sent(damping, ALL)
-            return
         for joint in ALL:
-            sent = None
+            sent = damping if self._dry else None
             try:
-                sent = motor_bus.command(damping, [joint])
+                if self._dry:
+                    self._stop([joint])
+                else:
+                    sent = motor_bus.command(damping, [joint])
             except BusError as reason:
                 self._fail(reason)
             self._note_sent(sent, [joint])

@@ -50,7 +50,7 @@ LISTEN = 1.5
 """How long to listen [s]: three times as long as the firmware waits for another command."""
 
 LOWEST_RATE = 30.0
-"""Orientations a second that a robot sends at least [Hz]: 50 before the first command, 500 afterwards."""
+"""Messages a second that a robot sends at least [Hz]: a stock one 50 before the first command, 500 afterwards."""
 
 FLOOD = 0.02
 """A flood of messages must not stop the sending for longer than this [s]."""
@@ -78,6 +78,8 @@ class Bus:
 
     heard: Callable[[str, bytes, float], None]
     """Called with channel or topic, bytes and time [s] of each message."""
+    source = 0
+    """Who sent the message that is being handed on, where the network says it."""
     _sources: Mapping[int, Callable[[], object]]
     """Descriptor -> what hands on the messages that came there."""
 
@@ -145,6 +147,8 @@ class BoardReadings:
             return False
         if not self.take_joints(q, dq):
             return False
+        if report["readings"]:
+            report["round_trip"] = t - float(report["came"].max())
         report["tau"], report["temperature"], report["came"] = tau, temperature, t
         report["readings"] += 1
         return True
@@ -170,6 +174,8 @@ class BoardDriver:
     period, repeats = PERIOD, True
     name: str
     """In messages."""
+    usual_rate = LOWEST_RATE
+    """Fewer messages a second are mentioned before the robot moves [Hz]."""
 
     def __init__(
         self,
@@ -341,7 +347,7 @@ class BoardDriver:
             return [*found, Check(name="messages", verdict="stop", text=text)]
         rates = {name: (count - before[name]) / seconds for name, count in self.counts().items()}
         commands, advice, more = self._own_checks()
-        found += [_messages(rates, int(last["errors"])), *commands]
+        found += [self._messages(rates, int(last["errors"])), *commands]
         q = np.array(last["q"])
         if np.isnan(q).any():
             return [*found, Check(name="pose", verdict="stop", text="the robot sends no joint angles")]
@@ -354,12 +360,13 @@ class BoardDriver:
             found += imu_checks(quat, omega, q, description, suspended=suspended, text=text)
         return [*found, *more]
 
-
-def _messages(rates: dict[str, float], errors: int) -> Check:
-    text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
-    if errors:
-        text += f"; {errors} could not be read: the firmware may define its messages differently"
-        return Check(name="messages", verdict="stop", text=text)
-    if min(rates.values()) < LOWEST_RATE:
-        return Check(name="messages", verdict="stop", text=f"{text}; expected at least {LOWEST_RATE:g} Hz of each")
-    return Check(name="messages", verdict="ok", text=text)
+    def _messages(self, rates: dict[str, float], errors: int) -> Check:
+        text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
+        if errors:
+            text += f"; {errors} could not be read: the firmware may define its messages differently"
+            return Check(name="messages", verdict="stop", text=text)
+        if min(rates.values()) < LOWEST_RATE:
+            return Check(name="messages", verdict="stop", text=f"{text}; expected at least {LOWEST_RATE:g} Hz of each")
+        if min(rates.values()) < self.usual_rate:
+            return Check(name="messages", verdict="note", text=f"{text}; more than {self.usual_rate:g} Hz are usual")
+        return Check(name="messages", verdict="ok", text=text)
