@@ -1,11 +1,56 @@
-"""Text files of any encoding."""
+"""Text files of any encoding, and the one reader of JSON and TOML."""
 
 from __future__ import annotations
 
 import codecs
+import json
+import tomllib
 from pathlib import Path
+from typing import Any
 
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+
+DEEPEST = 40
+"""Levels of tables and lists in a file; mimic's own have six."""
+
+
+def from_json(text: str | bytes) -> Any:
+    """Return what a text in JSON holds.
+
+    Raises:
+        ValueError: If it is none, or is nested too deeply.
+    """
+    try:
+        return _shallow(json.loads(text))
+    except RecursionError:
+        raise _too_deep() from None
+
+
+def from_toml(text: str) -> dict[str, Any]:
+    """Return what a text in TOML holds.
+
+    Raises:
+        ValueError: If it is none, or is nested too deeply.
+    """
+    try:
+        return _shallow(tomllib.loads(text))
+    except RecursionError:
+        raise _too_deep() from None
+
+
+def _shallow(whole: Any) -> Any:
+    level = [whole]
+    for _ in range(DEEPEST):
+        tables = [part.values() if isinstance(part, dict) else part for part in level if isinstance(part, dict | list)]
+        level = [part for table in tables for part in table]
+        if not level:
+            return whole
+    raise _too_deep()
+
+
+def _too_deep() -> ValueError:
+    return ValueError(f"it is nested too deeply; expected at most {DEEPEST} levels")
 
 
 def read_text(path: Path) -> str:

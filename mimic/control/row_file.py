@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.text_file import from_json
 from mimic.errors import AssetError, ContractError
 from mimic.io.store import plain
 from mimic.records import FloatArray
@@ -89,7 +90,7 @@ def read_rows(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     head: dict[str, Any] = {}
     with open(path, "rb") as file:
         try:
-            head = json.loads(file.readline())
+            head = from_json(file.readline())
             shapes = {str(name): tuple(map(int, shape)) for name, shape in head["shapes"].items()}
             known = head["form"] == _FORM
         except (ValueError, KeyError, TypeError, AttributeError):

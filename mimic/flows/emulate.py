@@ -116,7 +116,8 @@ def serve_robot(
     effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
     emulated, faults, listen = (_on_can if options.board is None else _board)(options, settings, effects, reporter)
     shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
-    server = listen()
+    with real_time(EMULATOR, inherited=True):  # also for the threads in which a network receives
+        server = listen()
     for fault in faults:
         reporter.note(f"fault        {fault}")
     begin = reported = time.monotonic()

@@ -7,7 +7,7 @@ its own time.
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -48,11 +48,8 @@ _TWICE = 10
 _OWED = 32
 """Answers that may still come; more are lost."""
 
-ECHO_WITHIN = 0.05
-"""An own frame that comes back within this is an echo of the adapter [s]."""
-
-_REMEMBERED = 64
-"""Own frames that are remembered: those of a control step and some more."""
+ECHO_WITHIN = 0.5
+"""An own frame, known by its bus, id and bytes, that comes back within this is an echo of the adapter [s]."""
 
 _COUNT_EVERY = 16
 """One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
@@ -93,7 +90,8 @@ class MotorBus:
         """What the newest of them was."""
         self.echoes = 0
         """Own frames so far that came back: some adapters echo what they send."""
-        self._sent: deque[tuple[float, int, CanFrame]] = deque(maxlen=_REMEMBERED)
+        self._sent: dict[tuple[int, CanFrame], float] = {}
+        """Own frames of the last moments -> when each was sent last, the oldest first [s]."""
         self.unknown: Counter[tuple[int, str]] = Counter()
         """Frames of unknown senders so far: bus and identifier -> count."""
         self._values: dict[tuple[int, Register], float] = {}
@@ -123,8 +121,18 @@ class MotorBus:
         self.link.send(bus, frame)
         self.taken[bus] = self.link.now()
         self._count_bits(bus, frame)
-        self._sent.append((self.link.now(), bus, frame))
+        self._remember(bus, frame)
         self._owed[joint] = min(self._owed[joint] + 1, _OWED)
+
+    def _remember(self, bus: int, frame: CanFrame) -> None:
+        """Remember an own frame, and forget those that can no longer come back."""
+        now = self.link.now()
+        self._sent.pop((bus, frame), None)
+        self._sent[bus, frame] = now
+        oldest = next(iter(self._sent))
+        while now - self._sent[oldest] > ECHO_WITHIN:
+            del self._sent[oldest]
+            oldest = next(iter(self._sent))
 
     def id(self, joint: int) -> int:
         """Return the id of a joint's motor."""
@@ -164,9 +172,7 @@ class MotorBus:
             self._note_unknown(bus, frame)
             return
         match answer:
-            case OtherHost() if any(
-                (own, same) == (bus, frame) for sent, own, same in self._sent if t - sent < ECHO_WITHIN
-            ):
+            case OtherHost() if t - self._sent.get((bus, frame), -np.inf) < ECHO_WITHIN:
                 self.echoes += 1
             case OtherHost():
                 if answer.commands:

@@ -584,8 +584,9 @@ def test_a_sender_that_goes_on_driving_when_it_should_damp_is_ended(standing_up,
 def test_an_exception_that_nobody_expects_damps_and_says_where_it_was(place, standing_up, description, monkeypatch):
     robot, plant = standing_up
     kind, broken = type(plant.link.driver), iter([True])
+    whole = getattr(kind, place)
 
-    def fails(*args, whole=getattr(kind, place)):
+    def fails(*args):
         if next(broken, False):
             raise KeyError("what")
         return whole.fget(*args) if place == "report" else whole(*args)
