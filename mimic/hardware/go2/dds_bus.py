@@ -64,7 +64,10 @@ def check_network(wiring: Go2Wiring, interface: str | None) -> str:
             raise BusError(f"{interface} has no address; to set it: {setup}")
         return interface
     for _, name in socket.if_nameindex():
-        address = address_of(name)
+        try:
+            address = address_of(name)
+        except BusError:  # it is down
+            continue
         if address is not None and ipaddress.ip_address(address) in network:
             return name
     raise BusError(

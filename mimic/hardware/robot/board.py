@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 
 from mimic.control.safety_limits import limits_for
-from mimic.errors import ConfigError, FrameError, PlantError
+from mimic.errors import BusError, ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
 from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
-_SIOCGIFADDR = 0x8915
+_SIOCGIFADDR, _SIOCGIFFLAGS, _IFF_UP = 0x8915, 0x8913, 1
+"""Questions to the kernel about a network interface. Source: Linux, include/uapi/linux/sockios.h and if.h."""
 
 PERIOD = 0.002
 """Time between two messages [s]: the firmware's own cycle."""
@@ -61,13 +62,18 @@ def address_of(interface: str) -> str | None:
 
     Raises:
         ConfigError: If there is no such interface.
+        BusError: If it is down.
     """
     names = [name for _, name in socket.if_nameindex()]
     if interface not in names:
         raise ConfigError(f"there is no network interface {interface!r}; this computer has {', '.join(names)}")
+    question = struct.pack("256s", interface.encode()[:15])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        (flags,) = struct.unpack_from("<H", fcntl.ioctl(sock.fileno(), _SIOCGIFFLAGS, question), 16)
+        if not flags & _IFF_UP:
+            raise BusError(f"{interface} is down; to bring it up: sudo ip link set {interface} up")
         try:
-            answer = fcntl.ioctl(sock.fileno(), _SIOCGIFADDR, struct.pack("256s", interface.encode()[:15]))
+            answer = fcntl.ioctl(sock.fileno(), _SIOCGIFADDR, question)
         except OSError:
             return None
     return socket.inet_ntoa(answer[20:24])
