@@ -22,9 +22,9 @@ from mimic.hardware.can.zeros import Homing, read_homing, with_homing
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.robot.board_wiring import BOARDS
 from mimic.hardware.robot.checks import Check, before_moving, refuse
-from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings, open_driver
+from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.robot.process import SenderProcess
+from mimic.hardware.robot.process import SenderProcess, open_driver
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 
