@@ -14,9 +14,8 @@ from itertools import count
 import numpy as np
 
 from mimic.config.play import RunSettings
-from mimic.control.damping import damping_command
 from mimic.control.desired import DesiredMotion, LiveMotion, StoredMotion
-from mimic.control.plant import Plant
+from mimic.control.plant import Plant, damping_command
 from mimic.control.safety_rules import FAILURE
 from mimic.control.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.tick import Run, Safety, Sink, observation_width

@@ -1,10 +1,12 @@
-"""The interface between the control loop and a robot, in simulation or on its bus."""
+"""The interface between the control loop and a robot, in simulation or on its bus, and the command that only damps."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from mimic.records import JointCommand, RobotState, Tick
+import numpy as np
+
+from mimic.records import FloatArray, JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription
 
 
@@ -34,3 +36,9 @@ class Plant(Protocol):
     def close(self) -> None:
         """Leave the robot damped. Safe to call twice."""
         ...
+
+
+def damping_command(q: FloatArray, kd: float) -> JointCommand:
+    """Return the command that only damps: no stiffness, velocity gain kd [N m s/rad]."""
+    zeros = np.zeros_like(q)
+    return JointCommand(q_des=q.copy(), dq_des=zeros, kp=zeros, kd=np.full_like(q, kd), tau_ff=zeros)

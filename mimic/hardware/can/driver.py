@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.control.damping import damping_command
+from mimic.control.plant import damping_command
 from mimic.errors import BusError, PlantError
 from mimic.hardware.can.link import Link
 from mimic.hardware.can.preflight import preflight, set_host_timeout
