@@ -48,8 +48,9 @@ _TWICE = 10
 _OWED = 32
 """Answers that may still come; more are lost."""
 
-ECHO_WITHIN = 0.5
-"""An own frame, known by its bus, id and bytes, that comes back within this is an echo of the adapter [s]."""
+ECHO_AT_ONCE, ECHO_WITHIN = 0.05, 0.5
+"""An own frame, known by its bus, id and bytes, that comes back within this is an echo of the adapter [s]; a command,
+which others hardly send alike, also if it comes later."""
 
 _COUNT_EVERY = 16
 """One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
@@ -91,7 +92,7 @@ class MotorBus:
         self.echoes = 0
         """Own frames so far that came back: some adapters echo what they send."""
         self._sent: dict[tuple[int, CanFrame], float] = {}
-        """Own frames of the last moments -> when each was sent last, the oldest first [s]."""
+        """Own frames of the last moments -> until when each may come back as an echo, the oldest first [s]."""
         self.unknown: Counter[tuple[int, str]] = Counter()
         """Frames of unknown senders so far: bus and identifier -> count."""
         self._values: dict[tuple[int, Register], float] = {}
@@ -111,8 +112,8 @@ class MotorBus:
 
     # ------------------------------------------------------------------ frames
 
-    def send(self, joint: int, frame: CanFrame) -> None:
-        """Send a frame on the bus of a joint's motor.
+    def send(self, joint: int, frame: CanFrame, *, echo_within: float = ECHO_AT_ONCE) -> None:
+        """Send a frame on the bus of a joint's motor; its echo may come within a time [s].
 
         Raises:
             BusError: If the bus does not take it.
@@ -121,16 +122,16 @@ class MotorBus:
         self.link.send(bus, frame)
         self.taken[bus] = self.link.now()
         self._count_bits(bus, frame)
-        self._remember(bus, frame)
+        self._remember(bus, frame, echo_within)
         self._owed[joint] = min(self._owed[joint] + 1, _OWED)
 
-    def _remember(self, bus: int, frame: CanFrame) -> None:
+    def _remember(self, bus: int, frame: CanFrame, within: float) -> None:
         """Remember an own frame, and forget those that can no longer come back."""
         now = self.link.now()
         self._sent.pop((bus, frame), None)
-        self._sent[bus, frame] = now
+        self._sent[bus, frame] = now + within
         oldest = next(iter(self._sent))
-        while now - self._sent[oldest] > ECHO_WITHIN:
+        while now > self._sent[oldest]:
             del self._sent[oldest]
             oldest = next(iter(self._sent))
 
@@ -172,7 +173,7 @@ class MotorBus:
             self._note_unknown(bus, frame)
             return
         match answer:
-            case OtherHost() if t - self._sent.get((bus, frame), -np.inf) < ECHO_WITHIN:
+            case OtherHost() if t < self._sent.get((bus, frame), -np.inf):
                 self.echoes += 1
             case OtherHost():
                 if answer.commands:
@@ -247,7 +248,7 @@ class MotorBus:
             if bus in failed:
                 continue
             try:
-                self.send(j, frame)
+                self.send(j, frame, echo_within=ECHO_WITHIN)
             except BusError as reason:
                 failed[bus] = reason
                 continue

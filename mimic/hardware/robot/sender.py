@@ -33,7 +33,7 @@ REPORT_PERIOD = 0.0025
 """Longest time between two reports of a robot that is not sent to all the time [s]."""
 
 ORDER_STEP = 2.5
-"""Targets of two orders in a row differ by at most this [rad]; those of the shipped policies by up to 1.74."""
+"""Targets of two orders in a row differ by at most this [rad]; those of the shipped policy by up to 1.83."""
 
 GAIN_TOLERANCE = 1e-6
 """A gain may be this share beyond its limit, for rounding."""
@@ -120,7 +120,7 @@ class Sender:
         self._ordered = self._due = np.inf
         self._since = self._reached = self._rested = self._reported = 0.0
         self._rests = False
-        self._pause = driver.period if driver.repeats else description.dt
+        self._pause = driver.period if driver.repeats else 0.5 * description.dt  # an answer in each control step
 
     # ------------------------------------------------------------------ orders
 
@@ -235,7 +235,7 @@ class Sender:
     def _cycle(self, until: float, wake: int | None) -> Any:
         driver = self.driver
         self._send(driver.now())
-        every = self._pause if driver.repeats or self.state != State.DRIVE else REPORT_PERIOD
+        every = self._pause if driver.repeats else REPORT_PERIOD
         report_at = self._reported + every
         complete = driver.listen(min(until, self._due, report_at), wake)
         now = driver.now()

@@ -296,7 +296,8 @@ class Wire:
         return self.t
 
     def publish(self, channel: str, data: bytes) -> None:
-        self.sent.append(data)
+        if channel == LOWCMD:
+            self.sent.append(data)
 
     def listen(self, until: float, wake: int | None = None) -> None:
         self.t = max(until, self.t)

@@ -539,6 +539,15 @@ def test_what_damps_is_not_driven_by_any_later_command(standing_up, description)
     assert plant.ending == "the robot was damped and all motors are off"
 
 
+def test_a_robot_that_is_damped_goes_on_saying_how_it_moves(standing_up, description):
+    _, plant = standing_up
+    seen = []
+    while plant.damp() and len(seen) < 40:
+        seen.append(plant.step(hold(description)))
+    assert all(np.isfinite(tick.state.dq).all() for tick in seen)
+    assert {float(tick.sent.kp.max()) for tick in seen[1:]} == {0.0}
+
+
 def disobeys(plant, description, *, damped: bool = False) -> str:
     """Drive, or damp, until the sender is ended; return why, once the robot is left damped."""
     robot = plant.link.driver.motor_bus.link._robot
