@@ -40,12 +40,15 @@ def from_toml(text: str) -> dict[str, Any]:
 
 
 def _shallow(whole: Any) -> Any:
-    level = [whole]
+    level: list[Any] = [whole]
     for _ in range(DEEPEST):
-        tables = [part.values() if isinstance(part, dict) else part for part in level if isinstance(part, dict | list)]
-        level = [part for table in tables for part in table]
-        if not level:
+        parts: list[Any] = []
+        for table in level:
+            if isinstance(table, dict | list):  # pyrefly: ignore[implicit-any-type-argument]
+                parts += table.values() if isinstance(table, dict) else table
+        if not parts:
             return whole
+        level = parts
     raise _too_deep()
 
 
