@@ -138,6 +138,9 @@ class MemoryPlant:
         tick = len(self.sent)
         return Tick(state=self._state(clipped), sent=out, health=self.health(tick, replace(FRESH, imu_count=tick)))
 
+    def damp(self) -> bool:
+        return True
+
     def close(self) -> None:
         self.closed += 1
 

@@ -229,6 +229,10 @@ class DrakePlant:
         )
         return Tick(state=self._state(), health=health, sent=command, samples=None)
 
+    def damp(self) -> bool:
+        """Return True: the commands of the loop damp it."""
+        return True
+
     def close(self) -> None:
         """Do nothing; a simulated robot has nothing to release."""
 

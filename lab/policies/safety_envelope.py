@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from mimic.config.play import NOMINAL, EffectsSettings, Randomisation, RunSettings
-from mimic.control.damping import damping_command
 from mimic.control.loop import run_policy
+from mimic.control.plant import damping_command
 from mimic.evaluation.episode import Job
 from mimic.evaluation.sit_down import final_pose, lies, play_policy_switch
 from mimic.geometry import rotation_from_quat

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import sys
@@ -237,6 +238,9 @@ for _name, (_purpose, _commands) in GROUPS.items():
 
 def run(arguments: list[str]) -> int:
     """Parse the arguments, run the command and return the exit status."""
+    for stream in (sys.stdout, sys.stderr):  # what a terminal cannot show becomes a question mark
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
     try:
         arguments = _with_config(arguments)

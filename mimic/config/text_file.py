@@ -1,11 +1,59 @@
-"""Text files of any encoding."""
+"""Text files of any encoding, and the one reader of JSON and TOML."""
 
 from __future__ import annotations
 
 import codecs
+import json
+import tomllib
 from pathlib import Path
+from typing import Any
 
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+
+DEEPEST = 40
+"""Levels of tables and lists in a file; mimic's own have six."""
+
+
+def from_json(text: str | bytes) -> Any:
+    """Return what a text in JSON holds.
+
+    Raises:
+        ValueError: If it is none, or is nested too deeply.
+    """
+    try:
+        return _shallow(json.loads(text))
+    except RecursionError:
+        raise _too_deep() from None
+
+
+def from_toml(text: str) -> dict[str, Any]:
+    """Return what a text in TOML holds.
+
+    Raises:
+        ValueError: If it is none, or is nested too deeply.
+    """
+    try:
+        return _shallow(tomllib.loads(text))
+    except RecursionError:
+        raise _too_deep() from None
+
+
+def _shallow(whole: Any) -> Any:
+    level: list[Any] = [whole]
+    for _ in range(DEEPEST):
+        parts: list[Any] = []
+        for table in level:
+            if isinstance(table, dict | list):  # pyrefly: ignore[implicit-any-type-argument]
+                parts += table.values() if isinstance(table, dict) else table
+        if not parts:
+            return whole
+        level = parts
+    raise _too_deep()
+
+
+def _too_deep() -> ValueError:
+    return ValueError(f"it is nested too deeply; expected at most {DEEPEST} levels")
 
 
 def read_text(path: Path) -> str:

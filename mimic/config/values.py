@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
-from mimic.config.text_file import read_text
+from mimic.config.text_file import from_toml, read_text
 from mimic.errors import ConfigError
 
 
@@ -18,7 +17,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: If it cannot be read, or is none.
     """
     try:
-        return tomllib.loads(read_text(path))
+        return from_toml(read_text(path))
     except OSError as reason:
         raise ConfigError(f"{path} cannot be read ({reason.strerror})") from None
     except ValueError as reason:

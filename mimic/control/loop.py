@@ -14,9 +14,8 @@ from itertools import count
 import numpy as np
 
 from mimic.config.play import RunSettings
-from mimic.control.damping import damping_command
 from mimic.control.desired import DesiredMotion, LiveMotion, StoredMotion
-from mimic.control.plant import Plant
+from mimic.control.plant import Plant, damping_command
 from mimic.control.safety_rules import FAILURE
 from mimic.control.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.tick import Run, Safety, Sink, observation_width
@@ -236,11 +235,11 @@ def _sit_down(run: Run, policy: Policy, ticks: int) -> None:
 
 
 def _damp(run: Run) -> None:
-    """Damp with the motors' highest velocity gain until the supervisor finds that the robot rests."""
+    """Damp with the motors' highest velocity gain until the supervisor finds that the robot rests, or it was left."""
     d = run.plant.description
-    kd = d.kd_max
-    while run.mode < SafetyMode.STOPPED:
-        run.hold(damping_command(np.clip(run.sensed.q, d.q_min, d.q_max), kd), DAMP)
+    while run.mode < SafetyMode.STOPPED and run.plant.damp():
+        run.hold(damping_command(np.clip(run.sensed.q, d.q_min, d.q_max), d.kd_max), DAMP)
+    run.decide("at_rest", SafetyMode.STOPPED, "the process that sends has left the robot")
 
 
 def _joined(samples: list[JointSamples]) -> JointSamples | None:

@@ -7,8 +7,9 @@ import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 
-EMULATOR, LOOP, SENDER = 5, 10, 20
-"""Priorities of an emulated robot, of the control loop, and of the process that sends to the robot."""
+EMULATOR, RECORDER, LOOP, SENDER = 5, 9, 10, 20
+"""Priorities of an emulated robot, of who writes the log, of the control loop, and of the process that sends to the
+robot."""
 
 
 @contextmanager
@@ -18,7 +19,7 @@ def real_time(priority: int, *, inherited: bool = False) -> Generator[bool]:
     Linux allows it to root and to users with an ``rtprio`` limit.
 
     Args:
-        priority: LOOP or SENDER.
+        priority: One of the above.
         inherited: Threads and processes that are started meanwhile have it too.
     """
     if sys.platform != "linux":

@@ -53,6 +53,10 @@ class PacedPlant:
                 self._due = self._clock()
         return tick
 
+    def damp(self) -> bool:
+        """Have the robot damped for good."""
+        return self._plant.damp()
+
     def close(self) -> None:
         """Leave the robot damped."""
         self._plant.close()

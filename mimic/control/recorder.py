@@ -1,16 +1,26 @@
-"""The log of a run while it grows: every control tick is on disk before the next one; events are lines of JSON."""
+"""The log of a run while it grows: control ticks as rows, events as lines of JSON, on disk at once.
+
+A thread of its own writes, so that a slow disk never holds the control loop; what waits for it is kept.
+"""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
-from collections.abc import Mapping, Sequence
+import queue
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mimic.control.priority import RECORDER, real_time
 from mimic.control.row_file import RowFile, read_rows
 from mimic.control.supervisor import Event
 from mimic.io.store import plain
@@ -19,7 +29,61 @@ from mimic.records import AXES, Health, HealthLog, Record, RunLog
 ROWS, EVENTS = "log.rows", "events.jsonl"
 """Files in a run folder; the rows are removed once log.parquet exists."""
 
+MOST_WAITING = 3000
+"""Rows and events that wait for the disk at most: a minute of them, 6 MB."""
+
+CLOSE_WITHIN = 60.0
+"""What waits is written within this when a log is closed [s]."""
+
 _HEALTH = "health_"
+
+
+class _Disk:
+    """Writes in a thread of its own, in order; what waits for one file goes there at once."""
+
+    def __init__(self) -> None:
+        self._waiting: queue.Queue[tuple[Callable[[bytes], Any], bytes] | None] = queue.Queue(MOST_WAITING)
+        self._failure: OSError | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def write(self, how: Callable[[bytes], Any], data: bytes) -> None:
+        """Have something written, without waiting for it.
+
+        Raises:
+            OSError: If something before could not be written, or too much waits.
+        """
+        if self._failure is not None:
+            raise self._failure
+        try:
+            self._waiting.put_nowait((how, data))
+        except queue.Full:
+            raise OSError(errno.ETIMEDOUT, f"the disk is too slow: {MOST_WAITING} rows wait for it") from None
+
+    def close(self) -> None:
+        """Wait until all is written; safe to call twice."""
+        if self._thread.is_alive():
+            with suppress(queue.Full):
+                self._waiting.put(None, timeout=CLOSE_WITHIN)
+            self._thread.join(CLOSE_WITHIN)
+
+    def _run(self) -> None:
+        with real_time(RECORDER):  # while it holds the interpreter, nothing should hold it up
+            goes_on = True
+            while goes_on:
+                waiting = [self._waiting.get()]
+                while not self._waiting.empty():
+                    waiting.append(self._waiting.get())
+                goes_on = None not in waiting
+                items = (item for item in waiting if item is not None)
+                for how, same in groupby(items, key=itemgetter(0)):
+                    self._write(how, b"".join(data for _, data in same))
+
+    def _write(self, how: Callable[[bytes], Any], data: bytes) -> None:
+        try:
+            how(data)
+        except OSError as reason:
+            self._failure = self._failure or reason
 
 
 def _shapes(kind: type[Record], observation: int) -> dict[str, tuple[int, ...]]:
@@ -55,19 +119,25 @@ class RunRecorder:
         health = {_HEALTH + name: shape for name, shape in _shapes(HealthLog, observation).items()}
         self._folder, self._has_rows = folder, False
         self._rows = RowFile(folder / ROWS, _shapes(RunLog, observation) | health, metadata)
+        self._disk = _Disk()
         self._events = os.open(folder / EVENTS, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
 
     def row(self, values: Mapping[str, Any], health: Mapping[str, Any]) -> None:
         """Append a tick."""
         self._has_rows = True
-        self._rows.add({**values, **{_HEALTH + name: value for name, value in health.items()}})
+        row = self._rows.packed({**values, **{_HEALTH + name: value for name, value in health.items()}})
+        self._disk.write(self._rows.write, row)
 
     def event(self, event: Event) -> None:
         """Append an event."""
-        os.write(self._events, _line(event))
+        self._disk.write(self._write_event, _line(event))
+
+    def _write_event(self, lines: bytes) -> None:
+        os.write(self._events, lines)
 
     def close(self) -> None:
-        """Close the files; safe to call twice."""
+        """Write what waits, and close the files; safe to call twice."""
+        self._disk.close()
         self._rows.close()
         if self._events >= 0:
             os.close(self._events)

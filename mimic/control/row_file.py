@@ -1,6 +1,6 @@
 """Rows of numbers on disk that survive the process that writes them.
 
-The file is a line of JSON with the columns, then 64-bit floats, row after row, each passed to the system at once.
+The file is a line of JSON with the columns, then 64-bit floats, row after row.
 Reading leaves out an incomplete last row. At the end of a run the rows are stored as Parquet.
 """
 
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.text_file import from_json
 from mimic.errors import AssetError, ContractError
 from mimic.io.store import plain
 from mimic.records import FloatArray
@@ -39,12 +40,11 @@ class RowFile:
         head = {"form": _FORM, "shapes": self._shapes, "metadata": plain(metadata)}
         os.write(self._file, json.dumps(head).encode() + b"\n")
 
-    def add(self, values: Mapping[str, Any]) -> None:
-        """Append a row.
+    def packed(self, values: Mapping[str, Any]) -> bytes:
+        """Return a row as `write` takes it.
 
         Raises:
             ContractError: If a column is missing or has another shape.
-            OSError: If it cannot be written; the file then ends with a row that is not complete.
         """
         parts: list[FloatArray] = []
         for name, shape in self._shapes.items():
@@ -52,9 +52,24 @@ class RowFile:
             if part.shape != shape or name not in values:
                 raise ContractError(f"column {name} of the row has shape {part.shape}; expected {shape}")
             parts.append(part.reshape(-1))
-        row = np.concatenate(parts).astype("<f8").tobytes()
-        if os.write(self._file, row) < len(row):
+        return np.concatenate(parts).astype("<f8").tobytes()
+
+    def write(self, rows: bytes) -> None:
+        """Append packed rows.
+
+        Raises:
+            OSError: If they cannot be written; the file may then end with a row that is not complete.
+        """
+        if os.write(self._file, rows) < len(rows):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+
+    def add(self, values: Mapping[str, Any]) -> None:
+        """Append a row.
+
+        Raises:
+            ContractError, OSError: As `packed` and `write` do.
+        """
+        self.write(self.packed(values))
 
     def close(self) -> None:
         """Close the file; safe to call twice."""
@@ -75,7 +90,7 @@ def read_rows(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     head: dict[str, Any] = {}
     with open(path, "rb") as file:
         try:
-            head = json.loads(file.readline())
+            head = from_json(file.readline())
             shapes = {str(name): tuple(map(int, shape)) for name, shape in head["shapes"].items()}
             known = head["form"] == _FORM
         except (ValueError, KeyError, TypeError, AttributeError):

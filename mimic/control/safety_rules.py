@@ -191,7 +191,7 @@ def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Ite
         f"{L.outside:g} rad beyond a joint limit, {L.jump:g} rad in one tick, faster than {L.overspeed:g} rad/s in "
         f"2 ticks, or {L.frozen_ticks} equal readings while a policy moves the target by {L.frozen_targets:g} rad"
     ),
-    "1 tick to 160 ms",
+    "1 tick to 320 ms",
     _SIT,
 )
 def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:

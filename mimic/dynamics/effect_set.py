@@ -14,7 +14,6 @@ level = [[0.19, 0.23], [0.17, 0.21]]
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from mimic.config.text_file import read_text
+from mimic.config.text_file import from_toml, read_text
 from mimic.dynamics.catalogue import effect as find_effect
 from mimic.errors import ConfigError
 from mimic.io.store import written_whole
@@ -120,10 +119,10 @@ def read_effects(path: Path) -> EffectSet:
         ConfigError: If it is no such file, or a value does not fit the catalogue.
     """
     try:
-        raw = tomllib.loads(read_text(path))
+        raw = from_toml(read_text(path))
     except OSError as reason:
         raise ConfigError(f"{path} cannot be read: {reason.strerror or reason}") from None
-    except tomllib.TOMLDecodeError as reason:
+    except ValueError as reason:
         raise ConfigError(f"{path} is not TOML: {reason}") from None
     rows = raw.get("effect")
     if not isinstance(rows, list) or set(raw) != {"effect"}:

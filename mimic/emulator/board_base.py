@@ -26,6 +26,9 @@ from mimic.robot.description import RobotDescription
 TICK = 0.002
 """The firmware's cycle [s]."""
 
+OLD = 0.01
+"""A command that is older is counted [s]."""
+
 MESSAGE_FAULTS = ("frames_lost", "frames_late", "frames_doubled", "frames_corrupted", "frames_reordered")
 """Kinds of faults that its network has."""
 
@@ -98,6 +101,10 @@ class NetworkBoard(Generic[W]):
         self.ticks = 0
         self.commands = 0
         """Messages that were sent to it."""
+        self.old_cycles = 0
+        """Cycles with a command older than OLD while motors were driven."""
+        self.oldest = 0.0
+        """Age of the oldest command by which a motor was driven [s]."""
         self.events: deque[tuple[float, str]] = deque()
         """What happened, for whoever shows it."""
         self._incoming: list[tuple[float, int, str, bytes]] = []
@@ -182,6 +189,15 @@ class NetworkBoard(Generic[W]):
     def driven(self) -> tuple[str, ...]:
         """Return the joints with stiffness or a torque of a command."""
         raise NotImplementedError
+
+    def _count_age(self, age: float) -> None:
+        """Count the age of the command by which motors are driven [s]."""
+        self.old_cycles += age > OLD
+        self.oldest = max(self.oldest, age)
+
+    def ages(self) -> str:
+        """Return how old the commands were by which motors were driven."""
+        return f"at most {1e3 * self.oldest:.0f} ms old; {self.old_cycles} cycles of 2 ms with one older than 10 ms"
 
     def line(self) -> str:
         """Return a line of what has happened so far."""

@@ -28,6 +28,8 @@ class BoardServer:
         bus.heard = self._take
         self.stood_still = 0.0
         """How long emulated time stopped because the machine was too slow [s]."""
+        self.unsent = 0
+        """Messages that the network did not take."""
         self._begin = time.monotonic() - board.now
 
     def _take(self, channel: str, data: bytes, t: float) -> None:
@@ -45,7 +47,10 @@ class BoardServer:
             self._bus.listen(self._begin + self.board.now + TICK)
             self.board.advance(self.board.now + TICK)
             for message in self.board.published(self.board.now):
-                self._bus.publish(message.channel, message.data)
+                try:
+                    self._bus.publish(message.channel, message.data)
+                except OSError:
+                    self.unsent += 1
             each()
 
     def close(self) -> None:
@@ -58,4 +63,5 @@ class BoardServer:
 
     def figures(self) -> dict[str, str]:
         """Return rows of a table of what has happened."""
-        return self.board.figures()
+        lost = {"not sent": f"{self.unsent} messages: the network did not take them"} if self.unsent else {}
+        return self.board.figures() | lost

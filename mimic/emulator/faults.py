@@ -70,6 +70,7 @@ KINDS: dict[str, FaultKind] = {
     "mode_refused": FaultKind(
         text="the robot stands by its own order and does not enter motor mode (stock board)", scope="robot"
     ),
+    "mode_returns": FaultKind(text="its own mode becomes active, as by its remote control (go2)", scope="robot"),
     "service_silent": FaultKind(text="its services do not answer (go2)", scope="robot"),
     "imu_silent": FaultKind(text="sends nothing", scope="robot"),
     "imu_frozen": FaultKind(text="repeats its last sample, counter and all", scope="robot"),
@@ -91,7 +92,7 @@ KINDS: dict[str, FaultKind] = {
 }
 
 
-BOARD_ONLY = ("frames_reordered", "mode_refused", "service_silent")
+BOARD_ONLY = ("frames_reordered", "mode_refused", "mode_returns", "service_silent")
 """Kinds that only boards have; what else they have is in `mimic.emulator.board` and `mimic.emulator.go2`."""
 
 CAN_KINDS = tuple(kind for kind in KINDS if kind not in BOARD_ONLY)

@@ -55,6 +55,7 @@ FAULTS = (
     "imu_tilted",
     "bus_off",
     "mode_refused",
+    "mode_returns",
     "service_silent",
 )
 """Kinds of faults that it has."""
@@ -81,12 +82,19 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
     _modes = np.zeros(len(JOINTS), dtype=np.uint8)
     _lost = np.zeros(len(JOINTS), dtype=np.uint32)
     _came = math.inf
+    _arrived = math.inf
+    """When the newest command came [s]; infinite before the first."""
 
     # ------------------------------------------------------------------ what it hears
 
     def _cycle(self) -> None:
         self.body.advance(self.now)
         self._arrived_by_now(self._heard)
+        if not self.mode and self._value("mode_returns", self.now) is not None:
+            self.mode, self.applied, self._placed = "normal", [FREE] * len(JOINTS), self.body.joints(self.now)[0]
+            self.events.append((self.now, "its own mode is active again"))
+        if self.driven():
+            self._count_age(self.now - self._arrived)
         if self.now - self._came > TIMEOUT:
             self._came = math.inf
             if self.driven():
@@ -140,7 +148,8 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
         if not self._modes.any():
             self._faults = [fault.released(self.now) for fault in self._faults]
             self.events.append((self.now, "the first command came"))
-        self._came, wiring, motors = at, self._wiring, message["motor_cmd"][: len(JOINTS)]
+        self._came = self._arrived = at
+        wiring, motors = self._wiring, message["motor_cmd"][: len(JOINTS)]
         self._modes = motors["mode"][wiring.index]
         q, dq, tau = wiring.angles(motors["q"]), wiring.joints(motors["dq"]), wiring.joints(motors["tau"])
         kp, kd = motors["kp"][wiring.index].astype(float), motors["kd"][wiring.index].astype(float)
@@ -178,13 +187,14 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
 
     def line(self) -> str:
         """Return a line of what has happened so far."""
-        return f"{self.commands} messages, {self.refused} of them with a wrong checksum, {self.silences} silences"
+        return f"{self.commands} messages, {self.refused} of them with a wrong checksum, {self.ages()}"
 
     def figures(self) -> dict[str, str]:
         """Return rows of a table of what has happened."""
         mode = f"{self.mode!r} is active" if self.mode else "released"
         return {
             "messages": f"{self.commands}; {self.refused} with a wrong checksum, {self.fights} against its own mode",
+            "commands": self.ages(),
             "silences": f"{self.silences} times without a command for {TIMEOUT:g} s while motors were driven",
             "its own mode": mode,
         }
@@ -195,14 +205,16 @@ class EmulatedGo2Bus(EmulatedBoardBus):
 
     rivals: Sequence[str] = ()
     """Who else may write commands."""
+    robots: Sequence[str] = ("this robot",)
+    """Who writes readings."""
 
     def ready(self, topic: str) -> bool:
         """Return True: the robot hears everything."""
         return True
 
-    def others(self) -> list[str]:
-        """Return who else may write commands."""
-        return list(self.rivals)
+    def others(self, topic: str = LOWCMD) -> list[str]:
+        """Return who else may write a topic."""
+        return list(self.rivals if topic == LOWCMD else self.robots)
 
     def publish(self, channel: str, data: bytes) -> None:
         """Send a message."""

@@ -46,10 +46,15 @@ class EmulatedLink:
         """
         if not self._host.heard:
             self._robot.advance(self._robot.now + max(timeout, 0.0), waiting=self._host)
+        if self._host.heard:
+            return self._host.heard.popleft()
         for bus in range(len(self._robot.buses)):
             if self._robot.unplugged(bus):
                 raise BusError(f"bus {bus} is unplugged")
-        return self._host.heard.popleft() if self._host.heard else None
+        return None
+
+    def reopen(self, bus: int) -> None:
+        """Do nothing: a bus that was unplugged works again as soon as it is plugged in."""
 
     def close(self) -> None:
         """Leave the buses; the robot continues with its last commands."""

@@ -130,6 +130,8 @@ class EmulatedRobot:
         self._next_check = CHECK_PERIOD
         self._hosts: list[Host] = []
         self._host_count = 0
+        self.oldest = 0.0
+        """Age of the oldest command by which a motor was driven [s]."""
         for i, motor in enumerate(self.motors):
             announcement = motor.power_up(self._measured(i).q)
             if s.zeroed:
@@ -290,6 +292,7 @@ class EmulatedRobot:
 
     def _hear(self, i: int, sent: Sent) -> None:
         motor = self.motors[i]
+        self._count_age(motor, sent.t)
         answer = motor.hear(sent.frame, sent.t, self._measured(i))
         self._apply(i)
         if motor.mode is MotorMode.RUNNING and self.body.held:
@@ -298,6 +301,10 @@ class EmulatedRobot:
             self._faults = [fault.released(self.now) for fault in self._faults]
         if answer is not None:
             self._answer(i, answer, sent.t + self.settings.reply)
+
+    def _count_age(self, motor: EmulatedMotor, t: float) -> None:
+        if motor.mode is MotorMode.RUNNING and motor.drive.kp > 0.0:
+            self.oldest = max(self.oldest, t - motor.heard_at)
 
     def _answer(self, i: int, message: MotorMessage, ready: float) -> None:
         if self._value("motor_mute", joint=i) is None and self._value("motor_dead", joint=i) is None:
@@ -332,6 +339,7 @@ class EmulatedRobot:
         for i, motor in enumerate(self.motors):
             if self._value("motor_dead", joint=i) is not None:
                 continue
+            self._count_age(motor, self.now)
             bits = self._value("motor_fault", joint=i)
             more = Fault(0) if bits is None else Fault(int(bits) & 0x3F)
             report = motor.check_faults(self.now, *self._heat_and_voltage(i), more)

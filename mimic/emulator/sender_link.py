@@ -25,6 +25,8 @@ class EmulatedSenderLink:
         self.sender = Sender(driver, description)
         self.halted = False
         """Whether the sender's process stands still or is gone: it sends and reports nothing."""
+        self._description = description
+        self._ended = False
         self._orders: list[Order] = []
         self._reports: list[Any] = []
 
@@ -71,10 +73,26 @@ class EmulatedSenderLink:
         reports, self._reports = self._reports, []
         return reports
 
+    def damp(self) -> None:
+        """Have the robot damped, by one message."""
+        self.sender.finish()
+
+    @property
+    def left(self) -> bool:
+        """Whether the robot was left, or the sender was ended."""
+        return self._ended or self.sender.state == State.DONE
+
+    def end(self) -> None:
+        """End the sender."""
+        self._ended = True
+
     def finish(self) -> str:
         """Damp the robot until it rests, and return how it was left."""
         if self.sender.state == State.LISTEN:
             return "nothing was switched on"
+        if self._ended:  # whoever is left damps
+            self.sender = Sender(self.driver, self._description)
+            return self.sender.run()
         end = self.now() + LONGEST_ENDING
         self.sender.finish()
         while self.sender.state != State.DONE and self.now() < end:

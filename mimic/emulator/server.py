@@ -210,6 +210,7 @@ class EmulatorServer:
         return {
             "frames": f"{frames}, {bits / max(frames, 1):.1f} bits each on average",
             "bus load": ", ".join(f"{robot.load(bus):.1%}" for bus in range(len(robot.buses))),
+            "commands": f"at most {1e3 * robot.oldest:.0f} ms old while they drove a motor",
             "delivered late": f"{self.late} frames by more than 2 ms",
         }
 

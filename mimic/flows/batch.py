@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mimic.config.play import EffectsSettings, RunSettings
+from mimic.config.text_file import from_json
 from mimic.errors import ConfigError, MimicError, SourceError
 from mimic.flows.motion import InputSettings, load_motion, playable, refuse_second_video
 from mimic.flows.play import load_robot, play, settings_of, shipped_sit_down
@@ -223,7 +224,7 @@ def finished(job: Job) -> dict[str, Any] | None:
     """Return the row of a job that was finished before, None where it must be played."""
     for folder in job.items.glob(f"*-{job.key[:12]}"):  # an equal file of another name may have been played
         try:
-            row = json.loads((folder / METRICS).read_text(encoding="utf-8"))["row"]
+            row = from_json((folder / METRICS).read_text(encoding="utf-8"))["row"]
         except (OSError, ValueError, KeyError):
             continue
         return {**row, "file": job.name}

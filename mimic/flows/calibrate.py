@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mimic.config.sysid import CalibrateSettings
+from mimic.config.text_file import from_json
 from mimic.errors import AssetError, CalibrationError, ConfigError
 from mimic.flows.play import load_robot
 from mimic.flows.provenance import COMMAND, provenance
@@ -145,7 +145,7 @@ def _said(notes: Sequence[str], logs: Sequence[str | Path | JointLog]) -> list[d
         if not equals or not key:
             raise ConfigError(f"--note {note}: expected KEY=VALUE or FILE:KEY=VALUE, such as kp=20 or b.csv:kp=10")
         try:
-            value = json.loads(text)
+            value = from_json(text)
         except ValueError:
             value = text
         of = [

@@ -112,7 +112,8 @@ class CameraRecord:
             return None
         t = log.t[rows]
         heading = log.heading_des[rows] - log.heading_des[0]
-        commands = CommandTrack(t=t - t[0], v=log.v_des[rows], heading=heading, p_BE=log.p_BE_des[rows])
+        robot = str(log.metadata.get("robot", ""))
+        commands = CommandTrack(t=t - t[0], v=log.v_des[rows], heading=heading, p_BE=log.p_BE_des[rows], robot=robot)
         return Motion(commands=commands, pose=self.pose())
 
     def save(self, folder: Path, made_by: Provenance) -> dict[str, Any]:

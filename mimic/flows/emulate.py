@@ -28,6 +28,7 @@ from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.go2.dds_bus import DdsBus
+from mimic.hardware.go2.dds_bus import check_network as check_go2_network
 from mimic.hardware.go2.wiring import load_go2
 from mimic.hardware.robot.board import Bus
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
@@ -116,7 +117,8 @@ def serve_robot(
     effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
     emulated, faults, listen = (_on_can if options.board is None else _board)(options, settings, effects, reporter)
     shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
-    server = listen()
+    with real_time(EMULATOR, inherited=True):  # also for the threads in which a network receives
+        server = listen()
     for fault in faults:
         reporter.note(f"fault        {fault}")
     begin = reported = time.monotonic()
@@ -181,6 +183,7 @@ def _network(options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
     """Return class, wiring and network of a board."""
     if options.board == "go2":
         go2 = load_go2(options.wiring)
+        check_go2_network(go2, "lo")
         return EmulatedGo2, go2, lambda: DdsBus(go2, "lo", robot=True)
     stock = load_board(options.wiring)
     check_network(stock, "lo")

@@ -310,6 +310,11 @@ def _of_record(record: CommandTrack | TargetTrack | WristTrack | PoseTrack, load
         return _of_pose(record, loading)
     if isinstance(record, WristTrack):
         return _of_wrists(record, loading)
+    robot = DEFAULT_ROBOT if loading.description is None else loading.description.name
+    if record.robot not in ("", robot):
+        raise SourceError(
+            f"these toes were made for the {record.robot}, and the robot is a {robot}; play what they were made from"
+        )
     check_clock(record.t, "the motion", SourceError, apart=SPARSE)
     if (away := float(np.nanmax(np.abs(record.p_BE), initial=0.0))) > FARTHEST:
         raise SourceError(f"toes are {away:.3g} m from the base of the robot; give the positions in metres")

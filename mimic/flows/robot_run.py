@@ -99,7 +99,7 @@ def play_on_robot(
 ) -> RobotRun:
     """Let a real robot stand up, play a source, follow a camera or stand until Ctrl-C, sit down; write the run folder.
 
-    Every tick is on disk before the next one begins. Whatever fails, the motors end damped.
+    Every tick goes to the disk at once, without holding the next one. Whatever fails, the motors end damped.
 
     Args:
         bus_url: Buses of the robot, such as can0, several with commas, or socketcand://HOST:PORT/can0; or cyberdog2

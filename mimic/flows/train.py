@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from mimic.config.play import DEFAULT_ROBOT, EffectsSettings
+from mimic.config.text_file import from_toml
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.config.values import expected, fitted, read_toml
 from mimic.errors import AssetError, ConfigError, MissingExtra
@@ -57,8 +57,8 @@ def _table(word: str) -> dict[str, Any]:
         raise ConfigError(f"{word!r} is not a setting; expected name=value")
     for value in (text, f"'{text}'"):
         try:
-            return tomllib.loads(f"{name} = {value}")
-        except tomllib.TOMLDecodeError:
+            return from_toml(f"{name} = {value}")
+        except ValueError:
             pass
     raise ConfigError(f"{word!r} is not a setting; expected name=value, such as rewards.slip=-0.4")
 

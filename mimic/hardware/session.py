@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 
 from mimic.config.hardware import DriveSettings, LookSettings, WiringSettings
 from mimic.config.ranges import check_range
+from mimic.control.priority import LOOP, real_time
 from mimic.errors import ConfigError, PlantError
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.driver import homing_file, open_buses
@@ -20,9 +22,9 @@ from mimic.hardware.can.zeros import Homing, read_homing, with_homing
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.robot.board_wiring import BOARDS
 from mimic.hardware.robot.checks import Check, before_moving, refuse
-from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings, open_driver
+from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.robot.process import SenderProcess
+from mimic.hardware.robot.process import SenderProcess, open_driver
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 
@@ -108,6 +110,20 @@ def open_robot(bus_url: str, settings: LookSettings, description: RobotDescripti
             driver.close()
 
 
+def _priority() -> list[Check]:
+    """Return a note where this computer gives the program no real-time priority: other work may then hold it up."""
+    with real_time(LOOP) as allowed:
+        pass
+    if allowed:
+        return []
+    busy = f"{os.getloadavg()[0]:.1f} programs wait for {os.cpu_count()} processors"
+    text = (
+        f"this user gets no real-time priority, so the robot is damped where other programs hold this one up ({busy}); "
+        "to allow it, add to /etc/security/limits.conf, with your name, and log in again: NAME - rtprio 20"
+    )
+    return [Check(name="priority", verdict="note", text=text)]
+
+
 @contextmanager
 def robot_session(
     bus_url: str,
@@ -149,7 +165,7 @@ def robot_session(
         link = SenderProcess(driver_settings(bus_url, settings, description, dry_run=dry_run), description, keep=locks)
         try:
             with before_moving():
-                checks = link.checks(options)
+                checks = [*link.checks(options), *_priority()]
                 report(checks)
                 refuse(checks)
                 go()

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from mimic.config.text_file import read_text
+from mimic.config.text_file import from_toml, read_text
 from mimic.errors import AssetError, ConfigError
 
 T = TypeVar("T")
@@ -22,10 +21,10 @@ def read_file(path: Path, understand: Callable[[Mapping[str, Any]], T]) -> T:
         ConfigError: If it is not TOML, or the function raises it; the message names the file.
     """
     try:
-        raw = tomllib.loads(read_text(path))
+        raw = from_toml(read_text(path))
     except OSError as reason:
         raise AssetError(f"{path} cannot be read: {reason.strerror}") from None
-    except tomllib.TOMLDecodeError as reason:
+    except ValueError as reason:
         raise ConfigError(f"{path} is not TOML: {reason}") from None
     try:
         return understand(raw)

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.config.text_file import read_text
+from mimic.config.text_file import from_json, read_text
 from mimic.errors import CalibrationError
 from mimic.io.assets import manual
 from mimic.io.reading import check_clock
@@ -375,7 +375,7 @@ def _notes(text: str | bytes, where: str) -> dict[str, Any]:
         CalibrationError: If it is something else.
     """
     try:
-        found = json.loads(text)
+        found = from_json(text)
     except ValueError as reason:
         raise CalibrationError(f"{where} is not JSON: {reason}") from None
     if not isinstance(found, dict):

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from mimic.config.text_file import from_json
 from mimic.errors import AssetError
 from mimic.records import AXES, Provenance, Record
 from mimic.version import __version__
@@ -146,8 +147,8 @@ def header(path: Path) -> dict[str, Any]:
     if _HEADER not in metadata:
         raise AssetError(f"{path} is not a record of mimic; expected a Parquet file with a mimic header")
     try:
-        found = json.loads(metadata[_HEADER])
-    except (ValueError, RecursionError):
+        found = from_json(metadata[_HEADER])
+    except ValueError:
         found = None
     parts = {"record": str, "fields": dict, "shapes": dict}
     if not isinstance(found, dict) or not all(isinstance(found.get(name), kind) for name, kind in parts.items()):
@@ -206,6 +207,6 @@ def load_json(path: Path) -> Any:
         AssetError: If it is missing or is no JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return from_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as reason:
         raise AssetError(f"{path} cannot be read as JSON: {reason}") from None

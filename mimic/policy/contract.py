@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from mimic.config.text_file import from_json
 from mimic.errors import ContractError
 from mimic.geometry import heading_sin_cos, world_axes_in_base
 from mimic.records import JOINTS, FloatArray, IntArray
@@ -310,7 +311,7 @@ MAX_ACTION = 100.0
 
 def stored_fields(text: str) -> dict[str, Any]:
     """Return the fields of a contract in JSON, complete or not, without its sentences; those of BY_JOINT as lists."""
-    data: dict[str, Any] = json.loads(text)
+    data: dict[str, Any] = from_json(text)
     one_for_all = {name: [data[name]] * len(JOINTS) for name in BY_JOINT if isinstance(data.get(name), int | float)}
     return {name: value for name, value in data.items() if name not in ("formulas", "how_to_play")} | one_for_all
 

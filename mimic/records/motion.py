@@ -96,6 +96,8 @@ class TargetTrack(Record):
     """Base -> toe after clamping, before the speed limit [m]."""
     person: FloatArray = array("side", "xyz", optional=True)
     """Base -> toe as every frame of the source asks for it, before sampling [m]; NaN without a person."""
+    robot: str = ""
+    """Name of the robot whose toes these are; empty where not known."""
     report: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Figures of the retargeting, as plain data."""
     warnings: tuple[str, ...] = ()
@@ -114,6 +116,8 @@ class CommandTrack(Record):
     """Desired heading relative to the heading at the start [rad]."""
     p_BE: FloatArray = array("side", "xyz")
     """Desired base -> toe, base axes [m]."""
+    robot: str = ""
+    """Name of the robot whose toes these are; empty where not known."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)

@@ -118,7 +118,8 @@ class Health:
     voltage: float = float("nan")
     """Newest supply voltage that a motor reported [V]; NaN where none does."""
     round_trip: float = float("nan")
-    """From the newest question with an answer of its own to that answer [s]; NaN where none is asked."""
+    """From the newest question with an answer of its own to that answer, or from one message of a board to the next
+    [s]; NaN where neither is there."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)

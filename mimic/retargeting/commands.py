@@ -9,4 +9,5 @@ from mimic.records import CommandTrack, TargetTrack
 
 def command_track(targets: TargetTrack) -> CommandTrack:
     """Return commands that stand in place, turn with the track and bring the toes to its targets."""
-    return CommandTrack(t=targets.t, v=np.zeros((len(targets.t), 2)), heading=targets.heading, p_BE=targets.p_BE)
+    v = np.zeros((len(targets.t), 2))
+    return CommandTrack(t=targets.t, v=v, heading=targets.heading, p_BE=targets.p_BE, robot=targets.robot)

@@ -168,6 +168,7 @@ def reachable_track(
         limited=rate_limited,
         wanted=wanted,
         within_reach=closest.p_BE,
+        robot=reach.description.name,
         report=_report(times, q, closest.moved, rate_limited, valid, reach, settings),
         warnings=warnings,
     )

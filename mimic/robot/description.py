@@ -7,7 +7,6 @@ legs of three joints: abad turns about +x, hip and knee about +y. The legs mirro
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.config.text_file import read_text
+from mimic.config.text_file import from_toml, read_text
 from mimic.errors import AssetError, ConfigError
 from mimic.io.assets import shipped
 from mimic.records import JOINTS, LEGS, FloatArray
@@ -291,10 +290,10 @@ def _read(path: Path) -> RobotDescription:
     if not path.is_file():
         raise AssetError(f"there is no {path}; name a shipped robot (cyberdog2, go2), or a folder with a {FILE}")
     try:
-        return _described(tomllib.loads(read_text(path)), path)
+        return _described(from_toml(read_text(path)), path)
     except KeyError as missing:
         raise AssetError(f"{path} lacks {missing}") from None
-    except (tomllib.TOMLDecodeError, TypeError, ValueError) as reason:
+    except (TypeError, ValueError) as reason:
         raise AssetError(f"{path} is not a robot description: {reason}") from None
 
 

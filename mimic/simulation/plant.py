@@ -270,6 +270,10 @@ class SimulatedPlant:
         self._steps += 1
         return Tick(state=self._state(), health=_healthy(self._steps), sent=command, samples=samples)
 
+    def damp(self) -> bool:
+        """Return True: the commands of the loop damp it."""
+        return True
+
     def close(self) -> None:
         """Do nothing; a simulated robot has nothing to release."""
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -125,6 +126,14 @@ def test_version_is_that_of_the_package(capsys):
 def test_it_runs_as_a_module():
     shown = subprocess.run([sys.executable, "-m", "mimic", "--version"], check=True, capture_output=True, text=True)
     assert shown.stdout.strip() == __version__
+
+
+def test_what_a_terminal_cannot_show_becomes_a_question_mark():
+    command = [sys.executable, "-m", "mimic", "caf\u00e9 \u5317.mp4", "--sim"]
+    shown = subprocess.run(command, capture_output=True, env=os.environ | {"PYTHONIOENCODING": "ascii"}, check=False)
+    assert shown.returncode == 2
+    assert b"caf? ?.mp4" in shown.stderr
+    assert b"Error" not in shown.stderr
 
 
 def test_a_process_ends_with_the_exit_status():

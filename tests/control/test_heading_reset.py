@@ -32,6 +32,9 @@ class ResetHeading:
             return tick
         return replace(tick, state=replace(tick.state, quat_WB=turned_about_up(tick.state.quat_WB, self._angle)))
 
+    def damp(self):
+        return self._plant.damp()
+
     def close(self):
         self._plant.close()
 

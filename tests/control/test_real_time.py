@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.control.damping import damping_command
+from mimic.control.plant import damping_command
 from mimic.control.real_time import PacedPlant
 
 

@@ -6,6 +6,7 @@ import dataclasses
 import errno
 import json
 import signal
+import threading
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
 from mimic.control.recorder import EVENTS, ROWS, RunRecorder, salvage
+from mimic.control.row_file import RowFile
 from mimic.control.signals import Signals
 from mimic.control.supervisor import SafetyMode
 from mimic.errors import PlantError
@@ -221,6 +223,27 @@ def test_the_tick_in_which_the_plant_failed_is_on_disk(supervised, tmp_path):
     assert len(log.t) == 61
     assert np.isfinite(log.q_des[60]).all()
     assert np.isnan(log.q_sent[60]).all()
+
+
+def test_a_disk_that_stands_still_holds_no_tick_and_loses_nothing(supervised, tmp_path, monkeypatch):
+    goes_on, write = threading.Event(), RowFile.write
+    monkeypatch.setattr(RowFile, "write", lambda self, rows: goes_on.wait() and write(self, rows))
+    monkeypatch.setattr(RunRecorder, "close", lambda self, close=RunRecorder.close: goes_on.set() or close(self))
+    result, _, supervisor = supervised()
+    assert [event.rule for event in supervisor.events] == ["finished", "at_rest"]
+    log, _ = salvage(tmp_path / "run")
+    np.testing.assert_array_equal(log.t, result.log.t)
+
+
+def test_a_disk_that_is_too_slow_for_good_is_named_and_the_rows_stay_in_memory(supervised, tmp_path, monkeypatch):
+    goes_on = threading.Event()
+    monkeypatch.setattr("mimic.control.recorder.MOST_WAITING", 60)
+    monkeypatch.setattr(RowFile, "write", lambda self, rows: goes_on.wait())
+    monkeypatch.setattr(RunRecorder, "close", lambda self, close=RunRecorder.close: goes_on.set() or close(self))
+    result, _, supervisor = supervised()
+    assert supervisor.decisive.text == "the log cannot be written: the disk is too slow: 60 rows wait for it"
+    assert phases(result.log)[-1] == "damp"
+    assert np.isfinite(result.log.q).all()
 
 
 def test_rows_are_gone_once_they_are_discarded(tmp_path, contract):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimic.config.evaluation import SitDownEvaluateSettings
-from mimic.control.damping import damping_command
+from mimic.control.plant import damping_command
 from mimic.errors import ContractError
 from mimic.evaluation.contact_recorder import ContactRecorder
 from mimic.evaluation.sit_down import evaluate_sit_down, lies, summarise, time_to_lie

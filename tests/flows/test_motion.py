@@ -8,8 +8,9 @@ import mimic
 from mimic.config.pose import LiveSettings
 from mimic.errors import SourceError
 from mimic.flows.camera import follow_camera
-from mimic.flows.motion import InputSettings
+from mimic.flows.motion import InputSettings, motion_from_text
 from mimic.flows.reporter import SilentReporter
+from mimic.io import store
 
 
 class Notes(SilentReporter):
@@ -50,3 +51,14 @@ def test_no_pose_model_is_downloaded_for_a_camera_that_is_none(
     ):
         pass
     assert notes.lines == []
+
+
+def test_toes_that_were_made_for_another_robot_are_refused(tmp_path: Path) -> None:
+    targets = motion_from_text("wave the left hand").targets
+    assert targets is not None
+    assert targets.robot == "cyberdog2"
+    path = tmp_path / "targets.parquet"
+    store.save(targets, path, made_by=store.provenance())
+    assert mimic.load_motion(path).targets is not None
+    with pytest.raises(SourceError, match=r"made for the cyberdog2, and the robot is a go2; play what they were made"):
+        mimic.load_motion(path, description=mimic.load_robot("go2"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 
 import pytest
 
@@ -48,6 +49,18 @@ def get_ready(description, then: Callable[[Robot], None]) -> None:
     with session.robot_session("can0", settings, description, **options) as plant:
         assert isinstance(plant, Robot)
         then(plant)
+
+
+@pytest.mark.parametrize(("allowed", "lines"), [(True, 0), (False, 1)])
+def test_a_computer_without_real_time_priority_is_said_at_the_start(allowed, lines, robot, description, monkeypatch):
+    monkeypatch.setattr(session, "real_time", lambda priority: nullcontext(allowed))
+    reports = []
+    options = {"rate_hz": 50.0, "report": reports.append, "go": lambda: None}
+    with session.robot_session("can0", BusSettings(zeroed=True, yes=True), description, **options):
+        pass
+    said = [check for check in reports[0] if check.name == "priority"]
+    assert len(said) == lines
+    assert all(check.verdict == "note" and "no real-time priority" in check.text for check in said)
 
 
 @pytest.mark.parametrize("kind", [PlantError, BusError])

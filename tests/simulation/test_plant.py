@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimic.config.play import NOMINAL, Randomisation, RunSettings
-from mimic.control.damping import damping_command
 from mimic.control.loop import run_policy
+from mimic.control.plant import damping_command
 from mimic.errors import PlantError
 from mimic.geometry import heading_from_quat
 from mimic.metrics import stand_up_time, standing

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mimic.control.damping import damping_command
+from mimic.control.plant import damping_command
 from mimic.errors import BusError, PlantError
 from mimic.hardware.can.link import Link
 from mimic.hardware.can.preflight import preflight, set_host_timeout
@@ -22,20 +21,24 @@ from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import MotorMode, Register
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings, no_report
-from mimic.records import JOINTS, IntArray, JointCommand
+from mimic.records import JOINTS, FloatArray, IntArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
-
-STOP_TRIES = 10
-"""How often a stop is sent to a motor before it counts as unreachable."""
 
 ASK_EVERY = 0.1
 """Time between two questions for a supply voltage, whose answers also show how long answers take [s]."""
 
-DEAD = 0.3
-"""A bus that has taken or said nothing for so long is opened again while the robot is damped [s]."""
+REFUSES = 0.05
+"""A bus that has taken nothing for so long is opened again while the robot is damped; also from one attempt to the next
+[s]."""
 
-REOPEN_EVERY = 0.2
-"""Time between two attempts to open a bus [s]."""
+DEAD = 0.3
+"""… and one that has said nothing for so long, as when an adapter was taken out while frames go into a buffer [s]."""
+
+OPEN_EVERY = 0.2
+"""Time between two attempts to open the buses at first [s]."""
+
+STOP_FOR = 1.0
+"""Stops are sent until every motor confirms, for this long at most [s]: a busy computer reads late."""
 
 _LOOK = 0.002
 """How often to look for orders while a bus fails [s]."""
@@ -59,7 +62,6 @@ class CanDriver:
         homing: Homing | None = None,
         zeroed: bool = False,
         dry_run: bool = False,
-        reopen: Callable[[], Link] | None = None,
     ) -> None:
         """Take open buses; nothing is sent.
 
@@ -71,20 +73,18 @@ class CanDriver:
             homing: What is known about its zeros.
             zeroed: Use the zeros as the wiring has them.
             dry_run: The motors stay off; they are asked for readings by orders to stop.
-            reopen: Opens the buses again.
         """
         self.period, self.problem = description.dt / PARTS, ""
         self.motor_bus = MotorBus(link, wiring)
         self._description, self._homing, self._zeroed, self._dry = description, homing, zeroed, dry_run
         self._torque_limit = float(description.torque_max.min()) if torque_limit is None else torque_limit
-        self._reopen, self._tried = reopen, -np.inf
         self._report = no_report()
         self._failures = self._asked_count = 0
-        self._taken = self._heard = link.now()
+        self._tried: FloatArray = np.full(wiring.buses, -np.inf)
         self._next_question = -np.inf
         self._waits: tuple[float, IntArray] | None = None
         self._damped = -np.inf
-        self._tries, self._left, self._on = 0, list(ALL), False
+        self._left, self._on = list(ALL), False
 
     @property
     def report(self) -> Any:
@@ -164,7 +164,7 @@ class CanDriver:
 
     def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
         """Send a command; joints on a bus that does not take it have NaN in the report's ``q_sent``."""
-        report, motor_bus, now = self._report, self.motor_bus, self.now()
+        motor_bus, now = self.motor_bus, self.now()
         sent = None
         try:
             motor_bus.drain()
@@ -176,17 +176,20 @@ class CanDriver:
                 sent = command
             else:
                 sent = motor_bus.command(command, joints)
-            self._taken = now
             if now >= self._next_question:
                 self._next_question = now + ASK_EVERY
                 self._ask()
         except BusError as reason:
             self._fail(reason)
+        self._note_sent(sent, joints)
+        self._waits = now, np.array(joints, dtype=int)
+
+    def _note_sent(self, sent: JointCommand | None, joints: Sequence[int]) -> None:
+        """Count a command to these joints in the report; None where their bus did not take it."""
+        report, asked = self._report, list(joints)
         report["sent"] += 1
-        asked = np.array(joints, dtype=int)
         for name, value in (("q_sent", "q_des"), ("kp_sent", "kp"), ("kd_sent", "kd")):
             report[name][asked] = np.nan if sent is None else getattr(sent, value)[asked]
-        self._waits = now, asked
 
     def _ask(self) -> None:
         """Ask one motor after the other for its supply voltage; where it has none to tell, for its position."""
@@ -209,7 +212,6 @@ class CanDriver:
         link.wake, link.woken = wake, False
         try:
             self.motor_bus.listen(until, lambda: self._complete() or link.woken)
-            self._heard = self.now()
         except BusError as reason:
             self._fail(reason)
             left = max(until - self.now(), 0.0)
@@ -229,34 +231,30 @@ class CanDriver:
 
     def damp(self) -> None:
         """Damp every motor as much as it can. A bus that fails is opened again; the others are still served."""
-        if self._dry:
-            return
         motor_bus, d, now = self.motor_bus, self._description, self.now()
         q, _, _ = motor_bus.readings(-np.inf)
         q = np.clip(np.where(np.isnan(q), d.poses["lie"], q), d.q_min, d.q_max)
         damping, self._damped = damping_command(q, d.kd_max), now
         for joint in ALL:
+            sent = damping if self._dry else None
             try:
-                motor_bus.command(damping, [joint])
-                self._taken = now
+                if self._dry:
+                    self._stop([joint])
+                else:
+                    sent = motor_bus.command(damping, [joint])
             except BusError as reason:
                 self._fail(reason)
-        if max(now - self._taken, now - self._heard) > DEAD:
-            self._open_again(now)
+            self._note_sent(sent, [joint])
+        self._open_again(ALL, now)
 
-    def _open_again(self, now: float) -> None:
-        """Open the buses a second time, and take them if that works."""
-        if self._reopen is None or now - self._tried < REOPEN_EVERY:
-            return
-        self._tried = now
-        try:
-            link = self._reopen()
-        except BusError as reason:
-            self._fail(reason)
-            return
-        self.motor_bus.link.close()
-        self.motor_bus.link = link
-        self._taken = self._heard = link.now()
+    def _open_again(self, joints: Sequence[int], now: float) -> None:
+        """Begin to open the buses of joints again that fail."""
+        motor_bus = self.motor_bus
+        refuses = now - np.maximum(motor_bus.taken, self._tried) > REFUSES
+        silent = now - np.maximum(motor_bus.heard, self._tried) > DEAD
+        for bus in np.intersect1d(np.flatnonzero(refuses | silent), motor_bus.wiring.bus[list(joints)]):
+            self._tried[bus] = now
+            motor_bus.link.reopen(int(bus))
 
     def speed(self) -> float:
         """Return how fast the fastest joint moves by answers to damping [rad/s]; infinite without any."""
@@ -268,19 +266,22 @@ class CanDriver:
     @property
     def lost(self) -> bool:
         """Whether no bus takes frames."""
-        return not self._dry and self.now() - self._taken > DEAD
+        return not self._dry and bool(np.all(self.now() - self.motor_bus.taken > DEAD))
 
     def end(self, *, since: float, rested: bool) -> str | None:
         """Send stops; return how the motors were left once all confirm or were asked often enough."""
         if self._dry:
             return "dry run: nothing was switched on"
         self._left = [joint for joint in self._left if not self._is_off(joint, since)]
-        if not self._left or self._tries >= STOP_TRIES:
+        now = self.now()
+        if not self._left or now - since >= STOP_FOR:
             return self._left_as()
-        self._tries += 1
         for joint in self._left:
-            with suppress(BusError):
+            try:
                 self._stop([joint])
+            except BusError as reason:
+                self._fail(reason)
+        self._open_again(self._left, now)
         return None
 
     @property
@@ -295,9 +296,10 @@ class CanDriver:
     def _left_as(self) -> str:
         if not self._left:
             return "the robot was damped and all motors are off"
-        if self.lost:
-            return f"the motors could not be stopped: {self.problem or 'no bus takes frames any more'}; cut the power"
-        names = "all motors" if len(self._left) == len(ALL) else ", ".join(JOINTS[j] for j in self._left)
+        names = "the motors" if len(self._left) == len(ALL) else ", ".join(JOINTS[j] for j in self._left)
+        refused = self.now() - self.motor_bus.taken[self.motor_bus.wiring.bus[self._left]] > DEAD
+        if refused.all():
+            return f"{names} could not be stopped: {self.problem}; cut the power"
         return f"damping was sent, but {names} did not confirm that they are off: cut the power"
 
     def close(self) -> None:
@@ -329,12 +331,12 @@ def open_buses(bus_url: str, wiring: Wiring, *, quick: bool = False) -> Link:
         try:
             return open_link(bus_url, bitrate=wiring.bitrate)
         except BusError:
-            time.sleep(REOPEN_EVERY)
+            time.sleep(OPEN_EVERY)
     return open_link(bus_url, bitrate=wiring.bitrate, quick=quick)
 
 
 def open_can_driver(settings: DriverSettings, *, quick: bool = False) -> CanDriver:
-    """Open the driver of a robot on CAN; see `mimic.hardware.robot.driver.open_driver`."""
+    """Open the driver of a robot on CAN; see `mimic.hardware.robot.process.open_driver`."""
     path = None if settings.wiring is None else Path(settings.wiring)
     wiring = load_wiring(path, buses=len(settings.bus_url.split(",")))
     homing = None if settings.zeroed else read_homing(homing_file(wiring))
@@ -346,5 +348,4 @@ def open_can_driver(settings: DriverSettings, *, quick: bool = False) -> CanDriv
         homing=homing,
         zeroed=settings.zeroed,
         dry_run=settings.dry_run,
-        reopen=lambda: open_buses(settings.bus_url, wiring, quick=True),
     )

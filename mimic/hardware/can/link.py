@@ -50,6 +50,10 @@ class Link(Protocol):
         """
         ...
 
+    def reopen(self, bus: int) -> None:
+        """Begin to open a bus again that has failed, without waiting for it; meanwhile it takes and says nothing."""
+        ...
+
     def sleep(self, seconds: float) -> None:
         """Let time pass; frames that come meanwhile wait."""
         ...

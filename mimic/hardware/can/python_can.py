@@ -20,6 +20,7 @@ import math
 import re
 import select
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,7 +35,6 @@ from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
 
 from mimic.errors import BusError, ConfigError, FrameError, MimicError
-from mimic.hardware.can.faults import explain, first_line
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.link import Received
 
@@ -65,6 +65,39 @@ _CAN_ERR_BUSOFF = 0x40
 """Class of an error frame. Source: Linux include/uapi/linux/can/error.h."""
 
 FORMS = "can0; slcan:/dev/ttyACM0; socketcand://HOST:PORT/can0; several with commas"
+
+
+_OPENING = {
+    errno.EACCES: "no permission; add your user to the group that owns it (often dialout) and log in again",
+    errno.EPERM: "no permission; add your user to the group that owns it (often dialout) and log in again",
+    errno.EBUSY: "another program uses it; close that program",
+    errno.ENOENT: "there is no such device; plug the adapter in and check its name",
+    errno.ENETDOWN: "the interface is down; bring it up, such as with: ip link set can0 up type can bitrate 1000000",
+}
+
+
+def first_line(reason: BaseException) -> str:
+    """Return the first line of an exception's text, or its class name if it has no text."""
+    text = str(reason).strip()
+    return text.splitlines()[0] if text else type(reason).__name__
+
+
+def error_number(reason: BaseException | None) -> int | None:
+    """Return the operating system's error number behind an exception, or None; drivers wrap it in their own classes."""
+    for _ in range(5):
+        if reason is None:
+            return None
+        for name in ("errno", "error_code"):
+            number = getattr(reason, name, None)
+            if isinstance(number, int):
+                return number
+        reason = reason.__cause__ or reason.__context__
+    return None
+
+
+def explain(reason: BaseException) -> str:
+    """Return what is wrong and what to do, in one line."""
+    return _OPENING.get(error_number(reason) or 0, first_line(reason))
 
 
 class _Slcan(slcanBus):
@@ -159,11 +192,29 @@ class _Port:
             self._sock.close()  # python-can leaves it open when the other side is gone
 
 
+class _Closed:
+    """A bus that is being opened again."""
+
+    file, garbled = None, 0
+
+    def __init__(self, name: str, problem: str = "") -> None:
+        self.name, self.opening, self._problem = name, not problem, problem or f"{name} is being opened again"
+
+    def send(self, frame: CanFrame) -> None:
+        raise BusError(self._problem)
+
+    def take(self, timeout: float = 0.0) -> None: ...
+
+    def close(self) -> None: ...
+
+
 class CanLink:
     """Buses of python-can and the computer's monotonic clock. See `mimic.hardware.can.link.Link`."""
 
-    def __init__(self, ports: list[_Port]) -> None:
-        self._ports = ports
+    def __init__(self, ports: list[_Port], bitrate: int) -> None:
+        """Take open buses, and the bit rate with which one is opened again [bit/s]."""
+        self._ports: list[_Port | _Closed] = [*ports]
+        self._bitrate = bitrate
         self._next = 0
         self._closed = False
         self.wake: int | None = None
@@ -217,16 +268,29 @@ class CanLink:
             files = [port.file for port in self._ports if port.file is not None]
             if len(files) == len(self._ports):
                 ready, _, _ = select.select([*files, *wake], [], [], left)
-            elif len(self._ports) == 1:
-                frame = self._ports[0].take(min(left, _SLICE) if wake else left)
-                if frame is not None:
-                    return Received(0, frame, time.monotonic())
-                ready, _, _ = select.select(wake, [], [], 0)
             else:
-                ready, _, _ = select.select(wake, [], [], min(left, _SLICE))
+                ready, _, _ = select.select([*files, *wake], [], [], min(left, _SLICE))
             if any(file in ready for file in wake):
                 self.woken = True
                 return None
+
+    def reopen(self, bus: int) -> None:
+        """Begin to open a bus again, in a thread of its own."""
+        old = self._ports[bus]
+        if not (isinstance(old, _Closed) and old.opening):
+            self._ports[bus] = _Closed(old.name)
+            threading.Thread(target=self._open_again, args=(bus, old), daemon=True).start()
+
+    def _open_again(self, bus: int, old: _Port | _Closed) -> None:
+        old.close()
+        made: _Port | _Closed
+        try:
+            made = _open(old.name, self._bitrate, quick=True)
+        except MimicError as reason:
+            made = _Closed(old.name, str(reason))
+        self._ports[bus] = made
+        if self._closed:
+            made.close()
 
     def close(self) -> None:
         """Let go of the buses."""
@@ -257,9 +321,9 @@ def open_link(bus_url: str, *, bitrate: int = 1_000_000, quick: bool = False) ->
         for name in names:
             ports.append(_open(name, bitrate, quick=quick))
     except BaseException:
-        CanLink(ports).close()
+        CanLink(ports, bitrate).close()
         raise
-    return CanLink(ports)
+    return CanLink(ports, bitrate)
 
 
 def _open(name: str, bitrate: int, *, quick: bool) -> _Port:

@@ -30,11 +30,14 @@ FROM_OTHERS = (*FROM_ROBOT, LOWCMD)
 TO_ROBOT = (LOWCMD, f"{SWITCHER}request", f"{SPORT}request")
 """What a robot hears."""
 
+KEPT = 32
+"""Messages of a topic that wait to be read: two robots may speak at once."""
+
 BLOCKS = 1_000_000
 """A message that a slow reader holds up is given up after this [ns]."""
 
-_RELIABLE, _OWN = 1, 1
-"""Kinds of reliability, and of messages that are left out: those of the same participant."""
+_RELIABLE, _OWN, _LAST = 1, 1, 0
+"""Kinds of reliability, of messages that are left out: those of the same participant, and of those that are kept."""
 
 _CONFIG = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="{}" priority="default" '
@@ -61,7 +64,10 @@ def check_network(wiring: Go2Wiring, interface: str | None) -> str:
             raise BusError(f"{interface} has no address; to set it: {setup}")
         return interface
     for _, name in socket.if_nameindex():
-        address = address_of(name)
+        try:
+            address = address_of(name)
+        except BusError:  # it is down
+            continue
         if address is not None and ipaddress.ip_address(address) in network:
             return name
     raise BusError(
@@ -213,6 +219,7 @@ class DdsBus(Bus):
             made = dds.dds_create_topic(participant, ctypes.byref(_descriptor(TOPICS[name])), name.encode(), None, None)
         elif kind == "reader":
             dds.dds_qset_ignorelocal(qos, _OWN)
+            dds.dds_qset_history(qos, _LAST, KEPT)
             listener = ctypes.c_void_p(dds.dds_create_listener(None))
             dds.dds_lset_data_available(listener, self._wake)
             made = dds.dds_create_reader(participant, self._topics[name], qos, listener)
@@ -251,8 +258,8 @@ class DdsBus(Bus):
         if failed < 0:
             raise OSError(f"{channel}: DDS error {failed}")
 
-    def others(self) -> list[str]:
-        """Return who else may write commands, by computer and program as far as known."""
+    def others(self, topic: str = LOWCMD) -> list[str]:
+        """Return who else may write a topic, by computer and program as far as known, and by its number (GUID)."""
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
 
         alive = SampleState.Any | ViewState.Any | InstanceState.Alive
@@ -260,7 +267,7 @@ class DdsBus(Bus):
         found = {
             endpoint.participant_key
             for endpoint in self._what.read(1000, condition=ReadCondition(self._what, alive))
-            if endpoint.topic_name == LOWCMD and endpoint.participant_key != own
+            if endpoint.topic_name == topic and endpoint.participant_key != own
         }
         names = {
             one.key: {p.key: p.value for p in one.qos if hasattr(p, "key") and hasattr(p, "value")}
@@ -268,8 +275,8 @@ class DdsBus(Bus):
         }
         return sorted(
             f"{known.get('__ProcessName', 'a program')} (pid {known.get('__Pid', '?')}) on "
-            f"{known.get('__Hostname', 'an unknown computer')}"
-            for known in (names.get(key, {}) for key in found)
+            f"{known.get('__Hostname', 'an unknown computer')}, GUID {str(key)[:8]}"
+            for key, known in ((key, names.get(key, {})) for key in found)
         )
 
     def _take(self) -> None:
@@ -278,6 +285,7 @@ class DdsBus(Bus):
         message, info = ctypes.byref(self._message), ctypes.byref(self._info)
         for topic, reader in self._readers.items():
             while dds.dds_takecdr(reader, message, 1, info, 0) > 0:
+                self.source = int(self._info.publication_handle)
                 if self._info.valid_data:  # not where a writer only left
                     data = ctypes.create_string_buffer(dds.ddsi_serdata_size(self._message))
                     size = ctypes.c_size_t(len(data))

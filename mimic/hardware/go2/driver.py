@@ -7,6 +7,7 @@ published, so the last one it gets, again and again, is always damping.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,8 @@ from mimic.hardware.go2.messages import (
 from mimic.hardware.go2.wiring import Go2Wiring, load_go2
 from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, LYING_TOLERANCE, PERIOD, BoardDriver, BoardReadings
 from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import CheckOptions, DriverSettings
-from mimic.records import JOINTS, FloatArray
+from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings
+from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 
 ANSWER = 0.5
@@ -68,6 +69,15 @@ UNREACHED = (
 RESTED = "the robot was damped until it rested, and damping is the last it was sent; restart it to use its own modes"
 """How a robot should be left."""
 
+OWN_MODE = (
+    "its own mode {mode!r} is active again, as by its remote control, and drives the robot: lay it down with that, or "
+    "hold it and switch it off"
+)
+"""How a robot is left that is driven by its own mode."""
+
+MODE_EVERY = 0.25
+"""How often a robot that is driven is asked for its own mode [s]."""
+
 NOT_DRIVEN = "it was sent no command"
 """How a robot is left whose start failed before the first message."""
 
@@ -75,7 +85,7 @@ NOT_DRIVEN = "it was sent no command"
 class Go2Driver(BoardDriver):
     """See `mimic.hardware.robot.driver.Driver`."""
 
-    name = "a Go2"
+    name, usual_rate = "a Go2", 400.0
 
     def __init__(
         self,
@@ -90,7 +100,11 @@ class Go2Driver(BoardDriver):
         super().__init__(bus, wiring, description, BoardReadings(wiring), network=network, torque_limit=torque_limit)
         self._dds, self._wiring = bus, wiring
         self.mode: str | None = None
-        """What `ask_mode` returned last."""
+        """Name of its own active mode as it said last, empty for none; None if it does not say."""
+        self._mode_asked = -np.inf
+        self._robot: int | None = None
+        self._strangers: set[int] = set()
+        """Publisher of the readings that are taken, and of those that are left out."""
         self._calls, self._answers_to = itertools.count(1), dict[int, Call]()
         self._lost = np.zeros(len(JOINTS), dtype=np.int64)
         self._modes = np.zeros(len(JOINTS), dtype=np.int64)
@@ -108,12 +122,22 @@ class Go2Driver(BoardDriver):
             return
         try:
             if channel == LOWSTATE:
-                self._take(decode(LOWSTATE, data), t)
+                if self._is_ours(self._dds.source):
+                    self._take(decode(LOWSTATE, data), t)
             else:
                 call = Call.from_bytes(data, answer=True)
                 self._answers_to[call.id] = call
+                if call.api == CHECK_MODE and call.code == 0:
+                    self.mode = call.name()
         except FrameError:
             self.report["errors"] += 1
+
+    def _is_ours(self, source: int) -> bool:
+        """Return whether a publisher is the robot: the first that spoke."""
+        self._robot = source if self._robot is None else self._robot
+        if source != self._robot:
+            self._strangers.add(source)
+        return source == self._robot
 
     def _take(self, message: Any, t: float) -> None:
         wiring, report, motors = self._wiring, self.report, message["motor_state"][: len(JOINTS)]
@@ -164,6 +188,24 @@ class Go2Driver(BoardDriver):
             self.mode = None if answer is None or answer.code != 0 else answer.name()
         return self.mode
 
+    def _ask_again(self) -> None:
+        """Ask for its own mode now and then, without waiting for the answer."""
+        if self._wiring.motion_switcher and self.now() - self._mode_asked >= MODE_EVERY:
+            self._mode_asked = self.now()
+            self._answers_to.clear()
+            self._publish(f"{SWITCHER}request", Call(id=next(self._calls), api=CHECK_MODE).to_bytes())
+
+    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+        """Send a command, and ask for its own mode now and then.
+
+        Raises:
+            FrameError: If its own mode drives it, or the command cannot be sent.
+        """
+        if self.mode:
+            raise FrameError(f"its own mode {self.mode!r} is active again, and drives the robot")
+        super().drive(command, joints)
+        self._ask_again()
+
     def notes(self) -> list[str]:
         """Return what is known of its own mode."""
         others = self._dds.others()
@@ -171,7 +213,7 @@ class Go2Driver(BoardDriver):
 
     def _own_checks(self) -> tuple[list[Check], str, list[Check]]:
         self.ask_mode()
-        found, text = [], "none commands this robot"
+        found, text = self._robots(), "none commands this robot"
         others, came = self._dds.others(), int(self.report["foreign"])
         if self.mode is None:
             text = (
@@ -194,8 +236,18 @@ class Go2Driver(BoardDriver):
         own = "not published: it is expected to hold its last command, so mimic never falls silent before damping"
         return found, "lay it down with its remote control", [Check(name="own timeout", verdict="note", text=own)]
 
+    def _robots(self) -> list[Check]:
+        """Return what stands against it where more than one robot speaks: each would obey the commands."""
+        robots = self._dds.others(LOWSTATE)
+        if len(robots) < 2 and not self._strangers:
+            return []
+        text = f"more than one sends rt/lowstate on this network ({'; '.join(robots)}), and all of them would obey"
+        return [Check(name="robot", verdict="stop", text=f"{text}: leave one robot switched on")]
+
     def checks(self, options: CheckOptions) -> list[Check]:
         """Check a robot by listening to it and asking for its own mode; nothing moves."""
+        self._robot = None
+        self._strangers.clear()
         found = super().checks(options)
         if not self.mode:
             return found
@@ -296,8 +348,16 @@ class Go2Driver(BoardDriver):
     def end(self, *, since: float, rested: bool) -> str | None:
         """Send damping for a moment; return how the robot was left."""
         if self.now() - since <= LAST_DAMPING:
+            self._ask_again()
             self.damp()
             return None
+        if self._strangers:
+            return f"{self._left_as(rested)}; another robot that speaks on this network was left out"
+        return self._left_as(rested)
+
+    def _left_as(self, rested: bool) -> str:
+        if self.mode:
+            return OWN_MODE.format(mode=self.mode)
         if self.now() - self._foreign < LAST_DAMPING:
             return GONE_ON
         if rested:
@@ -309,7 +369,7 @@ class Go2Driver(BoardDriver):
 
 
 def open_go2_driver(settings: DriverSettings, *, quick: bool = False) -> Go2Driver:
-    """Open the driver of a Go2; see `mimic.hardware.robot.driver.open_driver`."""
+    """Open the driver of a Go2; see `mimic.hardware.robot.process.open_driver`."""
     wiring = load_go2(None if settings.wiring is None else Path(settings.wiring))
     interface = check_network(wiring, settings.interface)
     description = load_description(settings.robot)

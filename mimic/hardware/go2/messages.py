@@ -10,7 +10,6 @@ go2/sport/sport_api.py and comm/motion_switcher; OMG, Common Data Representation
 
 from __future__ import annotations
 
-import json
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.text_file import from_json
 from mimic.errors import FrameError
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
@@ -236,7 +236,7 @@ class Call:
     def name(self) -> str | None:
         """Return the name of the active mode in an answer to CHECK_MODE, empty for none; None if it has no name."""
         try:
-            name = json.loads(self.text)["name"]
+            name = from_json(self.text)["name"]
         except (ValueError, KeyError, TypeError):
             return None
         return name if isinstance(name, str) else None

@@ -7,7 +7,7 @@ its own time.
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -48,11 +48,9 @@ _TWICE = 10
 _OWED = 32
 """Answers that may still come; more are lost."""
 
-ECHO_WITHIN = 0.05
-"""An own frame that comes back within this is an echo of the adapter [s]."""
-
-_REMEMBERED = 64
-"""Own frames that are remembered: those of a control step and some more."""
+ECHO_AT_ONCE, ECHO_WITHIN = 0.05, 0.5
+"""An own frame, known by its bus, id and bytes, that comes back within this is an echo of the adapter [s]; a command,
+which others hardly send alike, also if it comes later."""
 
 _COUNT_EVERY = 16
 """One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
@@ -93,7 +91,8 @@ class MotorBus:
         """What the newest of them was."""
         self.echoes = 0
         """Own frames so far that came back: some adapters echo what they send."""
-        self._sent: deque[tuple[float, int, CanFrame]] = deque(maxlen=_REMEMBERED)
+        self._sent: dict[tuple[int, CanFrame], float] = {}
+        """Own frames of the last moments -> until when each may come back as an echo, the oldest first [s]."""
         self.unknown: Counter[tuple[int, str]] = Counter()
         """Frames of unknown senders so far: bus and identifier -> count."""
         self._values: dict[tuple[int, Register], float] = {}
@@ -105,22 +104,36 @@ class MotorBus:
         self._unasked = np.zeros(len(JOINTS), dtype=int)
         self.bits: FloatArray = np.zeros(wiring.buses)
         """Bits on each bus so far, as this computer saw the frames (buses,)."""
+        self.taken: FloatArray = np.full(wiring.buses, link.now())
+        self.heard: FloatArray = np.full(wiring.buses, link.now())
+        """When each bus took, and said, anything last (buses,) [s]."""
         self._frames = 0
         self._bits_of_kind: dict[tuple[int, int], int] = {}
 
     # ------------------------------------------------------------------ frames
 
-    def send(self, joint: int, frame: CanFrame) -> None:
-        """Send a frame on the bus of a joint's motor.
+    def send(self, joint: int, frame: CanFrame, *, echo_within: float = ECHO_AT_ONCE) -> None:
+        """Send a frame on the bus of a joint's motor; its echo may come within a time [s].
 
         Raises:
             BusError: If the bus does not take it.
         """
         bus = int(self.wiring.bus[joint])
         self.link.send(bus, frame)
+        self.taken[bus] = self.link.now()
         self._count_bits(bus, frame)
-        self._sent.append((self.link.now(), bus, frame))
+        self._remember(bus, frame, echo_within)
         self._owed[joint] = min(self._owed[joint] + 1, _OWED)
+
+    def _remember(self, bus: int, frame: CanFrame, within: float) -> None:
+        """Remember an own frame, and forget those that can no longer come back."""
+        now = self.link.now()
+        self._sent.pop((bus, frame), None)
+        self._sent[bus, frame] = now + within
+        oldest = next(iter(self._sent))
+        while now > self._sent[oldest]:
+            del self._sent[oldest]
+            oldest = next(iter(self._sent))
 
     def id(self, joint: int) -> int:
         """Return the id of a joint's motor."""
@@ -141,6 +154,7 @@ class MotorBus:
     def _take(self, received: Received) -> None:
         """Keep what a frame says."""
         bus, frame, t = received
+        self.heard[bus] = t
         self._count_bits(bus, frame)
         try:
             if bus == self.wiring.imu.bus and self.imu.feed(frame, t):
@@ -159,9 +173,7 @@ class MotorBus:
             self._note_unknown(bus, frame)
             return
         match answer:
-            case OtherHost() if any(
-                (own, same) == (bus, frame) for sent, own, same in self._sent if t - sent < ECHO_WITHIN
-            ):
+            case OtherHost() if t < self._sent.get((bus, frame), -np.inf):
                 self.echoes += 1
             case OtherHost():
                 if answer.commands:
@@ -236,7 +248,7 @@ class MotorBus:
             if bus in failed:
                 continue
             try:
-                self.send(j, frame)
+                self.send(j, frame, echo_within=ECHO_WITHIN)
             except BusError as reason:
                 failed[bus] = reason
                 continue

@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 
 from mimic.control.safety_limits import limits_for
-from mimic.errors import ConfigError, FrameError, PlantError
+from mimic.errors import BusError, ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
 from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
-_SIOCGIFADDR = 0x8915
+_SIOCGIFADDR, _SIOCGIFFLAGS, _IFF_UP = 0x8915, 0x8913, 1
+"""Questions to the kernel about a network interface. Source: Linux, include/uapi/linux/sockios.h and if.h."""
 
 PERIOD = 0.002
 """Time between two messages [s]: the firmware's own cycle."""
@@ -50,7 +51,7 @@ LISTEN = 1.5
 """How long to listen [s]: three times as long as the firmware waits for another command."""
 
 LOWEST_RATE = 30.0
-"""Orientations a second that a robot sends at least [Hz]: 50 before the first command, 500 afterwards."""
+"""Messages a second that a robot sends at least [Hz]: a stock one 50 before the first command, 500 afterwards."""
 
 FLOOD = 0.02
 """A flood of messages must not stop the sending for longer than this [s]."""
@@ -61,13 +62,18 @@ def address_of(interface: str) -> str | None:
 
     Raises:
         ConfigError: If there is no such interface.
+        BusError: If it is down.
     """
     names = [name for _, name in socket.if_nameindex()]
     if interface not in names:
         raise ConfigError(f"there is no network interface {interface!r}; this computer has {', '.join(names)}")
+    question = struct.pack("256s", interface.encode()[:15])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        (flags,) = struct.unpack_from("<H", fcntl.ioctl(sock.fileno(), _SIOCGIFFLAGS, question), 16)
+        if not flags & _IFF_UP:
+            raise BusError(f"{interface} is down; to bring it up: sudo ip link set {interface} up")
         try:
-            answer = fcntl.ioctl(sock.fileno(), _SIOCGIFADDR, struct.pack("256s", interface.encode()[:15]))
+            answer = fcntl.ioctl(sock.fileno(), _SIOCGIFADDR, question)
         except OSError:
             return None
     return socket.inet_ntoa(answer[20:24])
@@ -78,6 +84,8 @@ class Bus:
 
     heard: Callable[[str, bytes, float], None]
     """Called with channel or topic, bytes and time [s] of each message."""
+    source = 0
+    """Who sent the message that is being handed on, where the network says it."""
     _sources: Mapping[int, Callable[[], object]]
     """Descriptor -> what hands on the messages that came there."""
 
@@ -145,6 +153,8 @@ class BoardReadings:
             return False
         if not self.take_joints(q, dq):
             return False
+        if report["readings"]:
+            report["round_trip"] = t - float(report["came"].max())
         report["tau"], report["temperature"], report["came"] = tau, temperature, t
         report["readings"] += 1
         return True
@@ -170,6 +180,8 @@ class BoardDriver:
     period, repeats = PERIOD, True
     name: str
     """In messages."""
+    usual_rate = LOWEST_RATE
+    """Fewer messages a second are mentioned before the robot moves [Hz]."""
 
     def __init__(
         self,
@@ -238,12 +250,17 @@ class BoardDriver:
         """Send a command; a message holds those of all joints.
 
         Raises:
-            FrameError: If it is not finite.
+            FrameError: If it is not finite, or has gains that the board does not take.
         """
         if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
             raise FrameError("a command holds numbers that are not finite")
         wiring, report = self._joints, self.report
-        kp, kd = np.clip(command.kp, 0.0, wiring.kp_max), np.clip(command.kd, 0.0, wiring.kd_max)
+        kp, kd = command.kp, command.kd
+        if kp.max() > wiring.kp_max or kd.max() > wiring.kd_max:
+            raise FrameError(
+                f"a command has Kp {kp.max():g} and Kd {kd.max():g}; {self.name} takes up to {wiring.kp_max:g} and "
+                f"{wiring.kd_max:g}"
+            )
         q, dq, tau = self._followed(command, kp, kd)
         dq, tau = (np.clip(v, -most, most) for v, most in ((dq, wiring.velocity_max), (tau, wiring.torque_max)))
         self._send(q, dq, kp, kd, tau)
@@ -255,8 +272,10 @@ class BoardDriver:
 
     def damp(self) -> None:
         """Send damping."""
-        q, zero = self.report["q"], np.zeros(len(JOINTS))
-        self._send(np.where(np.isfinite(q), q, 0.0), zero, zero, np.full(len(JOINTS), self._kd), zero)
+        report, zero = self.report, np.zeros(len(JOINTS))
+        q = np.where(np.isfinite(report["q"]), report["q"], 0.0)
+        self._send(q, zero, zero, np.full(len(JOINTS), self._kd), zero)
+        report["q_sent"], report["kp_sent"], report["kd_sent"] = q, zero, self._kd
 
     def _send(self, q: FloatArray, dq: FloatArray, kp: FloatArray, kd: FloatArray, tau: FloatArray) -> None:
         """Send a message with these values of all joints (12,)."""
@@ -334,7 +353,7 @@ class BoardDriver:
             return [*found, Check(name="messages", verdict="stop", text=text)]
         rates = {name: (count - before[name]) / seconds for name, count in self.counts().items()}
         commands, advice, more = self._own_checks()
-        found += [_messages(rates, int(last["errors"])), *commands]
+        found += [self._messages(rates, int(last["errors"])), *commands]
         q = np.array(last["q"])
         if np.isnan(q).any():
             return [*found, Check(name="pose", verdict="stop", text="the robot sends no joint angles")]
@@ -347,12 +366,13 @@ class BoardDriver:
             found += imu_checks(quat, omega, q, description, suspended=suspended, text=text)
         return [*found, *more]
 
-
-def _messages(rates: dict[str, float], errors: int) -> Check:
-    text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
-    if errors:
-        text += f"; {errors} could not be read: the firmware may define its messages differently"
-        return Check(name="messages", verdict="stop", text=text)
-    if min(rates.values()) < LOWEST_RATE:
-        return Check(name="messages", verdict="stop", text=f"{text}; expected at least {LOWEST_RATE:g} Hz of each")
-    return Check(name="messages", verdict="ok", text=text)
+    def _messages(self, rates: dict[str, float], errors: int) -> Check:
+        text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
+        if errors:
+            text += f"; {errors} could not be read: the firmware may define its messages differently"
+            return Check(name="messages", verdict="stop", text=text)
+        if min(rates.values()) < LOWEST_RATE:
+            return Check(name="messages", verdict="stop", text=f"{text}; expected at least {LOWEST_RATE:g} Hz of each")
+        if min(rates.values()) < self.usual_rate:
+            return Check(name="messages", verdict="note", text=f"{text}; more than {self.usual_rate:g} Hz are usual")
+        return Check(name="messages", verdict="ok", text=text)

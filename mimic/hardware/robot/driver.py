@@ -6,8 +6,7 @@ its own: `mimic.hardware.robot.sender` says when to send what.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -126,7 +125,7 @@ class Driver(Protocol):
         """Send a command to these joints; where the way to the robot fails, ``problem`` says so.
 
         Raises:
-            FrameError: If it is not finite.
+            FrameError: If it is not finite, or the robot does not take its gains.
         """
         ...
 
@@ -186,38 +185,3 @@ class DriverSettings:
     torque_limit: float | None = None
     """[N m]"""
     dry_run: bool = False
-
-
-def load_driver(settings: DriverSettings) -> Callable[..., Driver]:
-    """Import what opens the driver of a robot, and return it: opening is quick then."""
-    from mimic.hardware.robot.board_wiring import BOARDS
-
-    if settings.bus_url == "go2":
-        from mimic.hardware.go2.driver import open_go2_driver
-
-        with suppress(ImportError):
-            import cyclonedds.domain  # noqa: F401
-        return open_go2_driver
-    if settings.bus_url in BOARDS:
-        from mimic.hardware.stock.driver import open_stock_driver
-
-        with suppress(ImportError):
-            import lcm  # noqa: F401
-        return open_stock_driver
-    import mimic.hardware.can.python_can  # noqa: F401
-    from mimic.hardware.can.driver import open_can_driver
-
-    return open_can_driver
-
-
-def open_driver(settings: DriverSettings, *, quick: bool = False) -> Driver:
-    """Open the driver of a robot; nothing is sent.
-
-    Args:
-        settings: Which robot.
-        quick: Do not wait for an adapter that starts up: it was in use a moment ago.
-
-    Raises:
-        ConfigError, AssetError, BusError, MissingExtra: If that is not possible.
-    """
-    return load_driver(settings)(settings, quick=quick)

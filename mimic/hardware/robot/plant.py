@@ -10,9 +10,15 @@ import numpy as np
 from mimic.errors import PlantError, SenderError
 from mimic.hardware.robot.driver import ALL, no_report
 from mimic.hardware.robot.process import HANGS, SenderLink
-from mimic.hardware.robot.sender import Order
+from mimic.hardware.robot.sender import Order, State
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.description import RobotDescription
+
+DEVIATES = 0.1
+"""A sender that has not sent what it was ordered for this long is ended [s]."""
+
+ROUNDED = 0.01, 0.002
+"""A stiffness [N m/rad] and a target [rad] may be sent with this difference; a frame on CAN holds 16 bits of each."""
 
 ANSWERS = 0.005
 """A step that begins late still waits this long for answers [s]."""
@@ -47,7 +53,9 @@ class Robot:
         self._err_flag, self._gap = 0, 0.0
         self._began = self._ended = self._due = link.now()
         self._busy: FloatArray | None = None
-        self._started = False
+        self._started = self._damps = False
+        self._command: JointCommand | None = None
+        self._strays_since = np.inf
         self.ending = "nothing was switched on"
         """How the robot was left, as a sentence without its full stop."""
 
@@ -59,7 +67,7 @@ class Robot:
             BusError: If a bus fails.
         """
         link, d = self.link, self.description
-        self._started = True
+        self._started, self._damps, self._command = True, False, None
         link.start(suspended=self._suspended)
         self._missed[:] = 0
         self._began = self._ended = self._due = link.now()
@@ -75,23 +83,27 @@ class Robot:
             joints: The motors that are commanded.
 
         Raises:
-            SenderError: If the sender has ended, hangs, or has damped the robot.
+            SenderError: If the sender has ended, hangs, does not obey, or has damped the robot by itself.
         """
         link, dt = self.link, self.description.dt if dt is None else dt
         asked = link.now()
         compute = asked - self._ended
-        link.order(Order(command=command, begin=self._due, joints=tuple(joints)))
+        if not self._damps:
+            link.order(Order(command=command, begin=self._due, joints=tuple(joints)))
+        sent_before = int(self.report["sent"])
         self._due += dt
         self._take(link.wait(max(self._due, asked + ANSWERS)))
         now = link.now()
         late, self._ended = now - self._due, now
         if late > dt:
             self._due = now  # missed time is not caught up
-        if link.problem:
+        if link.problem and not self._damps:
             raise SenderError(link.problem)
         heard = float(self.report["t"])
-        if now - heard > HANGS:
+        if now - heard > HANGS and not link.left:
             raise SenderError(f"the process that sends to the robot hangs: it said nothing for {now - heard:.2f} s")
+        if heard > asked:
+            self._compare(command, list(joints), sent_before, asked)
         t = now if heard > asked else heard  # nothing ages while the sender is silent
         if heard > asked:
             self._missed = np.where(self.report["came"] > asked, 0, self._missed + 1)
@@ -102,6 +114,45 @@ class Robot:
             health=self._health(compute, max(late, 0.0), now, t),
             samples=self._joint_samples(sent),
         )
+
+    def damp(self) -> bool:
+        """Have the robot damped for good, by one message; return False once the sender has left it."""
+        if self._started and not self._damps:
+            self._damps, self._strays_since = True, np.inf
+            self.link.damp()
+        return self._started and not self.link.left
+
+    def _compare(self, command: JointCommand, joints: list[int], sent_before: int, asked: float) -> None:
+        """End a sender that does not send what it was ordered.
+
+        Raises:
+            SenderError: If it has not for DEVIATES.
+        """
+        before, self._command = self._command, command
+        strays = self._strays(command, before or command, joints, sent_before)
+        self._strays_since = min(self._strays_since, asked) if strays else np.inf
+        seconds = self.link.now() - self._strays_since
+        if seconds > DEVIATES:
+            self.link.end()
+            raise SenderError(f"the process that sends to the robot {strays} for {seconds:.2f} s, and was ended")
+
+    def _strays(self, command: JointCommand, before: JointCommand, joints: list[int], sent_before: int) -> str:
+        """Return what the sender does instead of what it was ordered; empty where it obeys."""
+        report, (stiffer, away) = self.report, ROUNDED
+        if report["state"] >= State.ENDING:
+            return ""
+        if report["sent"] <= sent_before:
+            return "has sent nothing"
+        kp = np.zeros(len(JOINTS)) if self._damps else command.kp
+        if np.any(np.abs(report["kp_sent"] - kp)[joints] > stiffer):  # false for NaN, where a bus took nothing
+            return "has sent another stiffness than it was ordered"
+        if self._damps:
+            return ""
+        first = before.q_des if command.ramp > 0.0 else command.q_des
+        low, high = np.minimum(first, command.q_des) - away, np.maximum(first, command.q_des) + away
+        q = report["q_sent"]
+        wrong = (q < low) | (q > high)
+        return "has sent other targets than it was ordered" if wrong[joints].any() else ""
 
     @property
     def now(self) -> float:

@@ -14,7 +14,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from typing import Any, Protocol
@@ -24,8 +24,9 @@ import numpy as np
 from mimic import errors
 from mimic.control.priority import SENDER, real_time
 from mimic.errors import MimicError, PlantError
+from mimic.hardware.robot.board_wiring import BOARDS
 from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import REPORT, CheckOptions, DriverSettings, load_driver, open_driver
+from mimic.hardware.robot.driver import REPORT, CheckOptions, Driver, DriverSettings
 from mimic.hardware.robot.sender import GIVE_UP, Order, Sender, State, why_lost
 from mimic.robot.description import RobotDescription, load_description
 
@@ -38,16 +39,55 @@ END_WITHIN = GIVE_UP + 12.0
 HANGS = 0.2
 """A sender that has reported nothing for this long hangs [s]."""
 
+OPEN_EVERY = 0.05
+"""Time between two attempts to open a robot that must be damped [s]."""
+
+FAILS = 0.1
+"""A sender that can send nothing for this long, as something is raised each time, leaves the robot to the loop [s]."""
+
 READ_WITHIN = 1.0
 """The loop takes the last word within this, or never [s]."""
 
 BEHIND = 0.1
 """A computer whose clocks part by more than this has slept [s]."""
 
-_ORDER, _CHECK, _START, _FINISH = b"O", b"C", b"S", b"F"
+_ORDER, _CHECK, _START, _DAMP = b"O", b"C", b"S", b"D"
 _REPORT, _ANSWER, _ERROR, _TAKEN_OVER, _ENDING = b"R", b"A", b"E", b"D", b"T"
 
 _LARGEST = 1 << 17
+
+
+def load_driver(settings: DriverSettings) -> Callable[..., Driver]:
+    """Import what opens the driver of a robot, and return it: opening is quick then."""
+    if settings.bus_url == "go2":
+        from mimic.hardware.go2.driver import open_go2_driver
+
+        with suppress(ImportError):
+            import cyclonedds.domain  # noqa: F401
+        return open_go2_driver
+    if settings.bus_url in BOARDS:
+        from mimic.hardware.stock.driver import open_stock_driver
+
+        with suppress(ImportError):
+            import lcm  # noqa: F401
+        return open_stock_driver
+    import mimic.hardware.can.python_can  # noqa: F401
+    from mimic.hardware.can.driver import open_can_driver
+
+    return open_can_driver
+
+
+def open_driver(settings: DriverSettings, *, quick: bool = False) -> Driver:
+    """Open the driver of a robot; nothing is sent.
+
+    Args:
+        settings: Which robot.
+        quick: Do not wait for an adapter that starts up: it was in use a moment ago.
+
+    Raises:
+        ConfigError, AssetError, BusError, MissingExtra: If that is not possible.
+    """
+    return load_driver(settings)(settings, quick=quick)
 
 
 class SenderLink(Protocol):
@@ -80,6 +120,19 @@ class SenderLink(Protocol):
 
     def wait(self, until: float) -> Sequence[Any]:
         """Wait until a time [s], and return the reports (scalars of REPORT) that came since the last call."""
+        ...
+
+    def damp(self) -> None:
+        """Have the robot damped until it rests and switched off; this cannot be taken back."""
+        ...
+
+    @property
+    def left(self) -> bool:
+        """Whether the sender has said how the robot was left, or can say nothing any more."""
+        ...
+
+    def end(self) -> None:
+        """End a sender that does not obey: it sends nothing from now on."""
         ...
 
     def finish(self) -> str:
@@ -116,7 +169,7 @@ class SenderProcess:
         self._state, self._lost, self._started = State.LISTEN, False, False
         self._answer: Any = None
         self._failure: tuple[str, str] | None = None
-        self._taken_over = ""
+        self._taken_over, self._damps = "", False
         self._ending: str | None = None
         self._heard = time.monotonic()
         try:
@@ -179,8 +232,10 @@ class SenderProcess:
 
     def wait(self, until: float) -> list[Any]:
         """Wait until a time [s], and return the reports that came."""
-        while (left := until - time.monotonic()) > 0.0 and not self.problem:
+        while (left := until - time.monotonic()) > 0.0 and (self._damps or not self.problem):
             self._read(left)
+            if self._lost and self._damps:
+                time.sleep(max(until - time.monotonic(), 0.0))
         self._read(0.0)
         reports, self._reports = self._reports, []
         return reports
@@ -218,12 +273,28 @@ class SenderProcess:
             elif kind == _ENDING:
                 self._ending = said
 
+    def damp(self) -> None:
+        """Have the robot damped, by one message."""
+        self._damps = True
+        self._send(_DAMP)
+
+    @property
+    def left(self) -> bool:
+        """Whether the sender has said how the robot was left, or its socket is closed."""
+        return self._lost or self._ending is not None
+
+    def end(self) -> None:
+        """End the process."""
+        with suppress(ProcessLookupError):
+            self._process.kill()
+        self._lost = True
+
     def finish(self) -> str:
         """Damp the robot until it rests, and return how it was left."""
         if not self._started:
             return "nothing was switched on"
         end = time.monotonic() + END_WITHIN
-        self._send(_FINISH)
+        self.damp()
         while not self._lost and self._ending is None and time.monotonic() < end:
             self._read(0.02)
             self._reports.clear()
@@ -233,12 +304,16 @@ class SenderProcess:
 
     def _damp_directly(self) -> str:
         """End the process and damp the robot from this one."""
-        with suppress(ProcessLookupError):
-            self._process.kill()  # from now on it sends nothing
-        try:
-            driver = open_driver(self._settings, quick=True)
-        except MimicError as reason:
-            return f"the robot could not be damped: {reason}; cut the power"
+        self.end()
+        end = time.monotonic() + GIVE_UP
+        while True:
+            try:
+                driver = open_driver(self._settings, quick=True)
+                break
+            except MimicError as reason:
+                if time.monotonic() > end:
+                    return f"the robot could not be damped: {reason}; cut the power"
+            time.sleep(OPEN_EVERY)
         try:
             return Sender(driver, self._description).run()
         finally:
@@ -278,20 +353,29 @@ class _Server:
         """Send until the robot is left and nobody can ask for more."""
         sender = self._sender
         while sender.state != State.DONE:
-            wake = None if self._orders is None else self._orders.fileno()
-            report = sender.cycle(sender.driver.now() + 1.0, wake)
-            slept = _clocks_apart() - self._apart
-            if slept > BEHIND and sender.state == State.DRIVE:
-                sender.damp(f"this computer slept for {slept:.1f} s")
-            if report is not None:
-                self._say(_REPORT, report.tobytes())
-            self._take()
-            if sender.reason and not self._told:
-                self._told = True
-                self._say(_TAKEN_OVER, json.dumps(sender.reason).encode())
+            try:
+                self._turn()
+            except Exception as reason:
+                sender.fail(reason)
+            if sender.fails_for > FAILS and self._orders is not None:
+                return
         if self._orders is not None:
             self._orders.settimeout(READ_WITHIN)
             self._say(_ENDING, json.dumps(sender.ending).encode())
+
+    def _turn(self) -> None:
+        sender = self._sender
+        wake = None if self._orders is None else self._orders.fileno()
+        report = sender.cycle(sender.driver.now() + 1.0, wake)
+        slept = _clocks_apart() - self._apart
+        if slept > BEHIND and sender.state == State.DRIVE:
+            sender.damp(f"this computer slept for {slept:.1f} s")
+        if report is not None:
+            self._say(_REPORT, report.tobytes())
+        self._take()
+        if sender.reason and not self._told:
+            self._told = True
+            self._say(_TAKEN_OVER, json.dumps(sender.reason).encode())
 
     def _say(self, kind: bytes, content: bytes) -> None:
         if self._orders is None:
@@ -319,7 +403,7 @@ class _Server:
         try:
             if kind == _ORDER:
                 sender.order(Order.from_bytes(content))
-            elif kind == _FINISH:
+            elif kind == _DAMP:
                 sender.finish()
             elif kind == _CHECK:
                 found = sender.driver.checks(CheckOptions(**json.loads(content)))
@@ -327,10 +411,11 @@ class _Server:
             elif kind == _START:
                 sender.start(suspended=json.loads(content))
                 self._say(_ANSWER, json.dumps(True).encode())
-        except (MimicError, ValueError) as reason:
-            self._say(_ERROR, _failure(reason))
-            if kind == _ORDER:
-                sender.finish()
+        except Exception as reason:
+            if kind in (_ORDER, _DAMP):
+                sender.fail(reason)
+            else:
+                self._say(_ERROR, _failure(reason))
 
 
 def _failure(reason: Exception) -> bytes:
@@ -359,11 +444,10 @@ def main(arguments: list[str]) -> int:
                 orders.send(_ERROR + _failure(reason))
             return 2
         orders.send(_ANSWER + json.dumps(True).encode())
-        try:
-            _Server(orders, sender).run()
-        finally:
+        _Server(orders, sender).run()
+        with suppress(Exception):
             driver.close()
-    return 0
+    return 1 if sender.failure else 0
 
 
 if __name__ == "__main__":

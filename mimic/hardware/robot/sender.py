@@ -3,15 +3,19 @@
     control loop --Order--> Sender --> Driver (CAN, motion board) --> motors
                  <--REPORT--
 
-The sender puts targets on a line between two orders, damps when no order has come for ORDER_TIMEOUT, and then until the
-robot rests and its motors are off. Once it damps it never drives again. It has no clock and no process of its own:
+The sender puts targets on a line between two orders, and checks each of them itself. It damps when it is told to, when
+no order has come for ORDER_TIMEOUT, when one is not as it should be, and when anything fails; then until the robot
+rests and its motors are off. Once it damps it never drives again. It has no clock and no process of its own:
 `mimic.hardware.robot.process` runs it beside the control loop.
 """
 
 from __future__ import annotations
 
+import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +31,12 @@ ORDER_TIMEOUT = 0.1
 
 REPORT_PERIOD = 0.0025
 """Longest time between two reports of a robot that is not sent to all the time [s]."""
+
+ORDER_STEP = 2.5
+"""Targets of two orders in a row differ by at most this [rad]; those of the shipped policy by up to 1.83."""
+
+GAIN_TOLERANCE = 1e-6
+"""A gain may be this share beyond its limit, for rounding."""
 
 _MOMENT = 1e-6
 """Times that differ by less are the same [s]."""
@@ -96,18 +106,21 @@ class Sender:
 
     def __init__(self, driver: Driver, description: RobotDescription) -> None:
         """Begin in LISTEN."""
-        self.driver, self._limits = driver, limits_for(description)
+        self.driver, self._limits, self._description = driver, limits_for(description), description
         self.state = State.LISTEN
         self.reason = ""
         """Why it took over from the control loop, as a sentence without its full stop; empty where it did not."""
         self.ending = ""
         """How the robot was left, as a sentence without its full stop; once DONE."""
+        self.failure = ""
+        """What was raised first that nobody expected, and where; empty where nothing was."""
+        self._fails_since = np.inf
         self._order: Order | None = None
         self._from: JointCommand | None = None
         self._ordered = self._due = np.inf
         self._since = self._reached = self._rested = self._reported = 0.0
         self._rests = False
-        self._pause = driver.period if driver.repeats else description.dt
+        self._pause = driver.period if driver.repeats else 0.5 * description.dt  # an answer in each control step
 
     # ------------------------------------------------------------------ orders
 
@@ -119,28 +132,49 @@ class Sender:
         """
         try:
             self.driver.start(suspended=suspended)
-        except MimicError:
+        except Exception as reason:
             self.ending = self.driver.abandon()
             if self.ending:
                 self.state = State.DONE
             else:
                 self.damp("")
+            if not isinstance(reason, MimicError):
+                self.failure = _place(reason)
             raise
         self.state = State.DRIVE  # without gains the motors may wait for an order
 
     def order(self, order: Order) -> None:
-        """Take an order; one that is not finite damps the robot."""
+        """Take an order; one that is not as it should be damps the robot, and one that is too old counts as none."""
         if self.state != State.DRIVE:
             return  # a robot that is damped is not driven again
         now, c = self.driver.now(), order.command
-        if not np.isfinite([c.q_des, c.dq_des, c.kp, c.kd, c.tau_ff]).all():
-            self.damp("a command holds numbers that are not finite")
+        if abs(now - order.begin) > ORDER_TIMEOUT:
+            return
+        against = self._against(c)
+        if against:
+            self.damp(against)
             return
         self._from = c if self._order is None or c.ramp <= 0.0 else self._part(now)
         self._order, self._ordered, self._due = order, now, now
 
+    def _against(self, c: JointCommand) -> str:
+        """Return what stands against a command: its numbers, its gains or its step; empty where nothing does."""
+        d = self._description
+        if not np.isfinite([c.q_des, c.dq_des, c.kp, c.kd, c.tau_ff]).all():
+            return "a command holds numbers that are not finite"
+        for name, gain, most in (("Kp", c.kp, d.kp_max), ("Kd", c.kd, d.kd_max)):
+            if gain.min() < 0.0 or gain.max() > most * (1.0 + GAIN_TOLERANCE):
+                return f"an order has {name} from {gain.min():g} to {gain.max():g}; expected 0 to {most:g}"
+        if self._order is None:
+            return ""
+        driven = (c.kp > 0.0) & (self._order.command.kp > 0.0)
+        step = float(np.max(np.abs(c.q_des - self._order.command.q_des), where=driven, initial=0.0))
+        if step > ORDER_STEP:
+            return f"an order moves a target by {step:.2f} rad at once; at most {ORDER_STEP:g} rad"
+        return ""
+
     def finish(self) -> None:
-        """Damp the robot until it rests, and switch it off."""
+        """Damp the robot until it rests, and switch it off; this is not taken back."""
         if self.state == State.LISTEN:
             self.state, self.ending = State.DONE, "nothing was switched on"
         elif self.state == State.DRIVE:
@@ -158,18 +192,50 @@ class Sender:
         self.state, self.reason = State.DAMP, reason
         self._since = self._reached = self._rested = self._due = self.driver.now()
 
+    def fail(self, reason: Exception) -> None:
+        """Damp the robot after something was raised that nobody expected, whatever else does not work."""
+        now = self.driver.now()
+        self.failure = self.failure or _place(reason)
+        self._fails_since = min(self._fails_since, now)
+        if self.state < State.DAMP:
+            self.damp(f"it failed: {self.failure}")
+        with suppress(Exception):
+            self.driver.damp()
+        try:
+            self.driver.listen(now + self.driver.period)
+        except Exception:
+            time.sleep(self.driver.period)
+        if self.fails_for > self._limits.damp_seconds:
+            self.state = State.DONE
+            self.ending = f"damping was sent, but how the robot was left is not known ({self.failure}): cut the power"
+
+    @property
+    def fails_for(self) -> float:
+        """For how long nothing could be sent without an exception [s]."""
+        return max(self.driver.now() - self._fails_since, 0.0)
+
     # ------------------------------------------------------------------ time
 
     def cycle(self, until: float, wake: int | None = None) -> Any:
         """Send what is due, listen until a time [s] or until more is due, and return a report if it is time for one.
 
+        What is raised meanwhile damps the robot.
+
         Args:
             until: On the driver's clock.
             wake: Descriptor; also return when something is to be read from it.
         """
+        try:
+            report = self._cycle(until, wake)
+        except Exception as reason:
+            self.fail(reason)
+            return None
+        return report
+
+    def _cycle(self, until: float, wake: int | None) -> Any:
         driver = self.driver
         self._send(driver.now())
-        every = self._pause if driver.repeats or self.state != State.DRIVE else REPORT_PERIOD
+        every = self._pause if driver.repeats else REPORT_PERIOD
         report_at = self._reported + every
         complete = driver.listen(min(until, self._due, report_at), wake)
         now = driver.now()
@@ -196,14 +262,15 @@ class Sender:
         if self.state == State.DRIVE:
             self._drive(now)
         elif self.state == State.DAMP:
-            self._settle(now)
+            self._due = now + self._pause
             self.driver.damp()
-            self._due = now + self._pause
+            self._settle(now)
         else:
-            ending = self.driver.end(since=self._since, rested=self._rests)
             self._due = now + self._pause
+            ending = self.driver.end(since=self._since, rested=self._rests)
             if ending is not None:
                 self.state, self.ending, self._due = State.DONE, ending, np.inf
+        self._fails_since = np.inf
 
     def _drive(self, now: float) -> None:
         order, driver = self._order, self.driver
@@ -253,3 +320,13 @@ class Sender:
         given_up = lost and now - self._since >= GIVE_UP
         if self._rests or given_up or now - self._reached >= limits.damp_seconds:
             self.state, self._since = State.ENDING, now
+
+
+def _place(reason: Exception) -> str:
+    """Return what was raised and where, in one line."""
+    traced = reason.__traceback__
+    while traced is not None and traced.tb_next is not None:
+        traced = traced.tb_next
+    where = "" if traced is None else f" ({Path(traced.tb_frame.f_code.co_filename).name}:{traced.tb_lineno})"
+    text = " ".join(str(reason).split())
+    return f"{type(reason).__name__}: {text}{where}"

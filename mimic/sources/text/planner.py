@@ -15,6 +15,7 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
 from mimic.config.pose import LanguageSettings
+from mimic.config.text_file import from_json
 from mimic.errors import ConfigError, MissingExtra, SourceError
 from mimic.io.keyframes import LARGEST, KeyFrame, KeyFrames, frames_from, one_line
 from mimic.robot.reach import Reach
@@ -214,7 +215,7 @@ def _answer_in(body: Iterator[bytes]) -> str:
         data += part
         if len(data) > LARGEST_BODY:
             raise ValueError(f"the answer has more than {LARGEST_BODY} bytes")
-    content = json.loads(data)["choices"][0].get("message", {}).get("content")
+    content = from_json(bytes(data))["choices"][0].get("message", {}).get("content")
     if isinstance(content, list):  # parts, as some servers send them
         content = "".join(str(part.get("text", "")) for part in content if isinstance(part, dict))
     if not isinstance(content, str | None):

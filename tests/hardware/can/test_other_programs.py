@@ -338,6 +338,29 @@ def test_an_adapter_that_echoes_is_no_other_program(robot, description):
     assert plant.link.driver.motor_bus.echoes >= 5 * 12
 
 
+@pytest.mark.parametrize("late", [0.03, 0.3])
+def test_an_adapter_that_echoes_later_and_late_is_no_other_program(late, robot, description):
+    link = EchoingLink(robot)
+    plant = robot_on_can(link, load_wiring(), description)
+    plant.start()
+    link._echoes.clear()
+    held, receive = [], link.receive
+
+    def receive_late(timeout: float) -> Received | None:
+        held.extend(link._echoes)
+        link._echoes.clear()
+        if held and held[0].t + late <= link.now():
+            return held.pop(0)._replace(t=link.now())
+        return receive(timeout)
+
+    link.receive = receive_late
+    for step in range(25):
+        command = hold(description)
+        tick = plant.step(replace(command, q_des=command.q_des + 0.002 * step, ramp=0.02))
+    assert tick.health.foreign == 0
+    assert plant.link.driver.motor_bus.echoes >= 9 * 12
+
+
 class DoublingLink(EmulatedLink):
     """A bus on which a second motor answers as the one with id 2, 0.4 rad away."""
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from mimic.config.emulator import EmulateSettings
+from mimic.control.step_history import StepReport
+from mimic.control.supervisor import Supervisor
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.go2 import EmulatedGo2, EmulatedGo2Bus
 from mimic.emulator.sender_link import EmulatedSenderLink
-from mimic.errors import FrameError, PlantError
+from mimic.errors import FrameError, PlantError, SenderError
 from mimic.hardware.go2.driver import GONE_ON, RESTED, UNREACHED, Go2Driver
 from mimic.hardware.go2.messages import LOWCMD, LOWSTATE, blank, decode, encode
 from mimic.hardware.go2.wiring import load_go2
@@ -196,6 +198,93 @@ def test_a_motor_that_dies_is_silent_and_no_longer_runs():
     assert [JOINTS[j] for j in np.flatnonzero(tick.health.missed)] == ["RL_knee"]
 
 
+# ---------------------------------------------------------------------- two robots, and its own mode
+
+
+def another_speaks(bus, since: float = 0.0):
+    """Let a second robot, which stands, speak on the network from a time on [s]."""
+    message = blank(LOWSTATE)
+    message["motor_state"]["q"][:12], message["imu_state"]["quaternion"][0] = 0.7, 1.0
+    data = encode(LOWSTATE, message)
+
+    def speak(t: float) -> None:
+        if t >= since:
+            bus.source, bus.robots = 7, ("go2 one", "go2 two")
+            bus.heard(LOWSTATE, data, t)
+            bus.source = 0
+
+    bus.hook = speak
+
+
+def test_two_robots_on_one_network_are_refused_by_name():
+    bus, plant = made()
+    another_speaks(bus)
+    assert "rt/lowstate on this network (go2 one; go2 two)" in stops(found_by(plant))
+    assert "leave one robot switched on" in stops(found_by(plant))
+
+
+def test_a_robot_that_is_announced_and_does_not_speak_yet_is_refused_too():
+    bus, plant = made()
+    bus.robots = ("go2 one", "go2 two")
+    assert "go2 two" in stops(found_by(plant))
+
+
+def test_a_robot_that_is_switched_on_later_is_left_out_and_said_at_the_end():
+    bus, plant = made()
+    assert stops(found_by(plant)) == ""
+    plant.start()
+    another_speaks(bus)
+    for _ in range(20):
+        tick = plant.step(hold(D.poses["lie"]))
+        assert np.abs(tick.state.q - D.poses["lie"]).max() < 0.6  # that of the other is 0.7
+    plant.close()
+    assert plant.ending == f"{RESTED}; another robot that speaks on this network was left out"
+
+
+def test_its_own_mode_that_returns_damps_and_the_last_line_says_who_drives():
+    bus, plant = made("mode_returns@+1.0")
+    plant.start()
+    began = bus.now()
+    with pytest.raises(SenderError, match="its own mode 'normal' is active again"):  # noqa: PT012
+        while bus.now() < began + 5.0:
+            plant.step(hold(D.poses["lie"]))
+    assert bus.now() - began < 1.5
+    plant.close()
+    assert plant.ending.startswith("its own mode 'normal' is active again")
+    assert "damping is the last" not in plant.ending
+
+
+def test_few_readings_are_mentioned_before_it_moves_and_while_it_runs():
+    bus, plant = made()
+    board = bus.board
+    speak, board._speak = board._speak, lambda dead: board.ticks % 10 or speak(dead)  # 50 Hz
+    found = found_by(plant)
+    assert found["messages"].verdict == "note"
+    assert "more than 400 Hz are usual" in found["messages"].text
+    board._speak = speak
+    plant.start()
+    board._speak = lambda dead: board.ticks % 25 or speak(dead)  # 20 Hz
+    supervisor = Supervisor(D)
+    for _ in range(60):
+        tick = plant.step(hold(D.poses["lie"]))
+        supervisor.update(StepReport(state=tick.state, health=tick.health, phase=0))
+    assert [event.text for event in supervisor.events if event.rule == "answers_slow"] == [
+        "answers of the motors take 50 ms; it sits down at 60 ms"
+    ]
+
+
+def test_the_age_of_commands_at_the_motors_is_counted_and_shown():
+    bus, plant = made()
+    plant.start()
+    for _ in range(10):
+        plant.step(hold(D.poses["lie"]))
+    assert bus.board.old_cycles == 0
+    assert bus.board.oldest <= 0.005
+    bus.listen(bus.now() + 0.03)
+    assert 25e-3 < bus.board.oldest < 35e-3
+    assert "cycles of 2 ms with one older than 10 ms" in bus.board.figures()["commands"]
+
+
 class Wire:
     """A bus without a robot, with a clock of its own."""
 
@@ -207,7 +296,8 @@ class Wire:
         return self.t
 
     def publish(self, channel: str, data: bytes) -> None:
-        self.sent.append(data)
+        if channel == LOWCMD:
+            self.sent.append(data)
 
     def listen(self, until: float, wake: int | None = None) -> None:
         self.t = max(until, self.t)
@@ -215,7 +305,9 @@ class Wire:
     def ready(self, topic: str) -> bool:
         return True
 
-    def others(self) -> list[str]:
+    source = 0
+
+    def others(self, topic: str = LOWCMD) -> list[str]:
         return []
 
     def close(self) -> None: ...

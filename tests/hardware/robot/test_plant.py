@@ -282,7 +282,8 @@ def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(descripti
     plant.close()
     off = {wiring.bus[j]: motor.mode for j, motor in enumerate(robot.motors)}
     assert off[0] is MotorMode.OFF
-    assert "did not confirm" in plant.ending
+    assert plant.ending.startswith("FR_abad, FR_hip, FR_knee, RR_abad")
+    assert "could not be stopped" in plant.ending
 
 
 # ---------------------------------------------------------------------- buses that fail
@@ -306,14 +307,14 @@ def test_a_bus_that_takes_no_frames_but_still_hears_is_opened_again_to_damp(desc
     robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True, placement=0.02))
     link, opened = EmulatedLink(robot), []
 
-    def reopen() -> EmulatedLink:
+    def reopen(bus: int) -> None:
         opened.append(robot.now)
-        if len(opened) < 3:
-            raise BusError("not there yet")
-        return EmulatedLink(robot)
+        if len(opened) == 3:
+            del link.send
 
+    link.reopen = reopen
     link.sleep(0.1)
-    plant = robot_on_can(link, load_wiring(), description, reopen=reopen)
+    plant = robot_on_can(link, load_wiring(), description)
     plant.start()
     steps(plant, description)
 
@@ -451,3 +452,175 @@ def test_a_loop_that_hangs_loses_the_robot_to_the_sender(made, description):
         plant.step(hold(description))
     plant.close()
     assert modes(robot) == {MotorMode.OFF}
+
+
+# ---------------------------------------------------------------------- a decision to damp is one message
+
+
+class TornLink(EmulatedLink):
+    """A link that stays broken once its adapter was pulled, until it is opened again with the adapter back."""
+
+    torn = False
+
+    def _look(self) -> None:
+        self.torn = self.torn or self._robot.unplugged(0)
+        if self.torn:
+            raise BusError("the adapter is gone")
+
+    def send(self, bus: int, frame) -> None:
+        self._look()
+        super().send(bus, frame)
+
+    def receive(self, timeout: float):
+        if self.torn or self._robot.unplugged(0):
+            self.sleep(min(timeout, 0.002))
+        self._look()
+        return super().receive(timeout)
+
+    def reopen(self, bus: int) -> None:
+        self.torn = self._robot.unplugged(0)
+
+
+@pytest.fixture
+def standing_up(description):
+    """Return an emulated robot and a plant that pushes it up."""
+    robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True, placement=0.02))
+    link = TornLink(robot)
+    link.sleep(0.1)
+    plant = robot_on_can(link, load_wiring(), description)
+    plant.start()
+    for _ in range(10):
+        plant.step(hold(description, description.poses["four"]))
+    assert robot.driven()
+    return robot, plant
+
+
+def damps(plant, description, seconds: float) -> float:
+    """Have the robot damped for a time, and return when its last motor was driven [s]."""
+    robot, last = plant.link.driver.motor_bus.link._robot, -np.inf
+    end = robot.now + seconds
+    while plant.damp() and robot.now < end:
+        plant.step(hold(description))  # whatever is asked for
+        last = robot.now if robot.driven() else last
+    return last
+
+
+@pytest.mark.parametrize("out", [1.0, 5.0])
+def test_an_adapter_that_was_out_damps_with_the_first_frames_that_get_through(out, standing_up, description):
+    robot, plant = standing_up
+    back = robot.now + out
+    robot.inject(parse_fault(f"unplugged@{robot.now}-{back}"))
+    until_silent(plant, description, 5)
+    assert damps(plant, description, out + 0.3) - back < 0.15
+    plant.close()
+    assert plant.ending == "the robot was damped and all motors are off"
+
+
+def test_a_bus_that_comes_back_is_opened_again_while_the_other_one_works(description):
+    wiring, asked = load_wiring(buses=2), []
+    robot = EmulatedRobot(description, wiring, EmulateSettings(zeroed=True, placement=0.02))
+    link = EmulatedLink(robot)
+    link.reopen = asked.append
+    link.sleep(0.1)
+    plant = robot_on_can(link, wiring, description)
+    plant.start()
+    robot.inject(parse_fault(f"unplugged:bus1@{robot.now}"))
+    steps(plant, description, 6)
+    damps(plant, description, 0.5)
+    assert set(asked) == {1}
+
+
+def test_what_damps_is_not_driven_by_any_later_command(standing_up, description):
+    robot, plant = standing_up
+    begin = robot.now
+    assert damps(plant, description, 1.0) - begin < 0.03
+    assert {motor.drive.kp for motor in robot.motors} == {0.0}
+    plant.close()
+    assert plant.ending == "the robot was damped and all motors are off"
+
+
+def test_a_robot_that_is_damped_goes_on_saying_how_it_moves(standing_up, description):
+    _, plant = standing_up
+    seen = []
+    while plant.damp() and len(seen) < 40:
+        seen.append(plant.step(hold(description)))
+    assert all(np.isfinite(tick.state.dq).all() for tick in seen)
+    assert {float(tick.sent.kp.max()) for tick in seen[1:]} == {0.0}
+
+
+def disobeys(plant, description, *, damped: bool = False) -> str:
+    """Drive, or damp, until the sender is ended; return why, once the robot is left damped."""
+    robot = plant.link.driver.motor_bus.link._robot
+    begin, way = robot.now, description.poses["four"] - description.poses["lie"]
+    with pytest.raises(SenderError) as raised:  # noqa: PT012
+        for step in range(50):
+            if damped:
+                plant.damp()
+            plant.step(hold(description, description.poses["four"] - 0.02 * step * way))
+    assert robot.now - begin < 0.15
+    ended = robot.now
+    plant.link.finish()
+    assert not robot.driven()
+    assert plant.link.driver.report["kp_sent"].max() == 0.0
+    assert robot.now - ended < 10.0
+    return str(raised.value)
+
+
+def test_a_sender_that_keeps_its_old_target_is_ended(standing_up, description):
+    _, plant = standing_up
+    sender, kept = plant.link.sender, plant.link.sender._order
+    sender.order = lambda order: type(sender).order(sender, replace(order, command=kept.command))
+    assert "other targets" in disobeys(plant, description)
+
+
+def test_a_sender_that_reports_and_sends_nothing_is_ended(standing_up, description):
+    _, plant = standing_up
+    driver = plant.link.driver
+    driver.drive = lambda command, joints=(): None
+    assert "has sent nothing" in disobeys(plant, description)
+
+
+def test_a_sender_that_goes_on_driving_when_it_should_damp_is_ended(standing_up, description):
+    _, plant = standing_up
+    sender = plant.link.sender
+    sender.finish, sender.damp = lambda: None, lambda reason: None
+    order = sender._order
+    send, sender._send = sender._send, lambda now: (sender.order(replace(order, begin=now)), send(now))
+    assert "another stiffness" in disobeys(plant, description, damped=True)
+
+
+@pytest.mark.parametrize("place", ["drive", "listen", "report"])
+def test_an_exception_that_nobody_expects_damps_and_says_where_it_was(place, standing_up, description, monkeypatch):
+    robot, plant = standing_up
+    kind, broken = type(plant.link.driver), iter([True])
+    whole = getattr(kind, place)
+
+    def fails(*args):
+        if next(broken, False):
+            raise KeyError("what")
+        return whole.fget(*args) if place == "report" else whole(*args)
+
+    monkeypatch.setattr(kind, place, property(fails) if place == "report" else fails)
+    begin = robot.now
+    with pytest.raises(SenderError, match=r"damped the robot: it failed: KeyError: 'what' \(test_plant\.py:\d+\)"):
+        steps(plant, description)
+    assert robot.now - begin < 0.05
+    assert not robot.driven()
+    plant.close()
+    assert plant.ending == "the robot was damped and all motors are off"
+    assert plant.link.sender.failure
+
+
+def test_a_sender_that_breaks_while_it_ends_leaves_the_robot_damped_and_says_what_it_does_not_know(
+    standing_up, description, monkeypatch
+):
+    robot, plant = standing_up
+
+    def fails(*_, **__):
+        raise KeyError("what")
+
+    monkeypatch.setattr(type(plant.link.driver), "end", fails)
+    plant.close()
+    assert not robot.driven()
+    assert "how the robot was left is not known (KeyError" in plant.ending
+    assert "cut the power" in plant.ending

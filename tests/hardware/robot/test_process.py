@@ -7,8 +7,10 @@ import random
 import re
 import signal
 import socket
+import sys
 import threading
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -17,15 +19,16 @@ from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.control.priority import EMULATOR, LOOP, real_time
 from mimic.emulator.board import EmulatedBoard
+from mimic.emulator.faults import parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
 from mimic.errors import BusError, ConfigError, MimicError, SenderError
 from mimic.flows.watching import watch_robot
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.robot import process
-from mimic.hardware.robot.driver import CheckOptions, DriverSettings, open_driver
+from mimic.hardware.robot.driver import CheckOptions, DriverSettings
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.robot.process import SenderProcess
+from mimic.hardware.robot.process import SenderProcess, open_driver
 from mimic.hardware.robot.sender import Sender
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.messages import MOTOR_CTRL
@@ -217,6 +220,82 @@ def test_the_sender_damps_the_robot_where_the_loop_has_ended(link, served):
     begin = time.monotonic()
     assert eventually(lambda: not served.driven())
     assert time.monotonic() - begin < BUSY * 0.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("out", [1.0, 5.0])
+def test_a_bus_that_is_gone_and_comes_back_damps_with_the_first_frames_that_get_through(out, motors, description):
+    link = SenderProcess(motors.settings, description)
+    plant = Robot(link, description)
+    q = driven(plant, motors)
+    back = time.monotonic() + out
+    motors.robot.inject(parse_fault(f"unplugged@{motors.robot.now}-{motors.robot.now + out}"))
+    for _ in range(8):
+        plant.step(hold(q))
+    assert motors.driven()
+    plant.damp()
+    while motors.driven() and time.monotonic() < back + PATIENCE:
+        plant.step(hold(q))
+    assert time.monotonic() - back < BUSY * 0.15
+    plant.close()
+    link.close()
+    assert plant.ending == "the robot was damped and all motors are off"
+
+
+BREAKS = """#!{python}
+import sys, time
+sys.path[:] = {path}
+import mimic.hardware.can.driver as can
+from mimic.hardware.robot import process
+from mimic.hardware.robot.sender import Sender
+begun = []
+def breaks(whole):
+    def broken(self, *arguments, **more):
+        begun.append(time.monotonic())
+        if {when}:
+            raise KeyError("what")
+        return whole(self, *arguments, **more)
+    return broken
+{kind}.{name} = breaks({kind}.{name})
+sys.exit(process.main(sys.argv[3:]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "name", "when", "alone"),
+    [
+        ("can.CanDriver", "drive", "len(begun) == 20", False),
+        ("can.CanDriver", "listen", "begun[-1] > begun[0] + 1.0", False),
+        ("can.CanDriver", "end", "True", False),
+        ("can.CanDriver", "damp", "True", False),
+        ("Sender", "order", "len(begun) > 20", False),
+        ("can.CanDriver", "damp", "len(begun) < 5", True),
+        ("can.CanDriver", "end", "len(begun) < 3", True),
+    ],
+)
+def test_a_sender_that_breaks_anywhere_ends_with_a_status_and_the_robot_damped(
+    kind, name, when, alone, motors, description, tmp_path, monkeypatch
+):
+    script = tmp_path / "breaks"
+    script.write_text(BREAKS.format(python=sys.executable, path=sys.path, kind=kind, name=name, when=when))
+    script.chmod(0o755)
+    with monkeypatch.context() as patched:
+        patched.setattr(process.sys, "executable", str(script))
+        link = SenderProcess(motors.settings, description)
+    plant = Robot(link, description)
+    q = driven(plant, motors)
+    if alone:
+        link._ours.close()  # as if this process were killed
+    else:
+        with suppress(SenderError):
+            for _ in range(100):
+                plant.step(hold(q))
+        plant.close()
+        assert plant.ending == "the robot was damped and all motors are off"
+    assert eventually(lambda: not motors.driven())
+    assert link._process.wait(PATIENCE) != 0
+    assert eventually(lambda: not motors.robot.switched_on())
 
 
 @pytest.mark.slow

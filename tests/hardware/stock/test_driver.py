@@ -97,10 +97,9 @@ def test_without_damping_the_cut_part_is_torque_held_to_the_boards_limit():
     assert np.abs(message["tau_des"]).max() == BOARD.torque_max
 
 
-def test_gains_beyond_the_board_are_clipped():
-    _, message = driving(LIE, LIE, kp=500.0, kd=50.0)
-    assert message["kp_des"].max() == 200.0
-    assert message["kd_des"].max() == 10.0
+def test_gains_that_the_board_does_not_take_are_refused():
+    with pytest.raises(FrameError, match="Kp 500 and Kd 50; the stock board takes up to 200 and 10"):
+        driving(LIE, LIE, kp=500.0, kd=50.0)
 
 
 def test_a_command_that_is_not_finite_is_refused():
