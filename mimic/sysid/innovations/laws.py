@@ -49,7 +49,7 @@ LEAST = 0.05
 """Least share of the torque constant, and of the supply, that is left."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def reads(p, j, angle):  # type: ignore[no-untyped-def]
     """Return what the encoder of a joint reads where its motor is at an angle."""
     read = angle
@@ -58,7 +58,7 @@ def reads(p, j, angle):  # type: ignore[no-untyped-def]
     return read * p[SCALE, j] + p[OFFSET, j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def unread(p, j, reading):  # type: ignore[no-untyped-def]
     """Return the angle at which the encoder reads this."""
     turned = (reading - p[OFFSET, j]) / p[SCALE, j]
@@ -68,20 +68,20 @@ def unread(p, j, reading):  # type: ignore[no-untyped-def]
     return angle
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def elastic(p, j):  # type: ignore[no-untyped-def]
     """Return whether something gives between motor and link."""
     return p[SOFT, j] > 0.0 or p[GAP, j] > 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def slowed(state, wanted, time, h):  # type: ignore[no-untyped-def]
     """Return a first-order lag's state after a step, and its mean during the step."""
     left = np.exp(-h / time)
     return wanted + (state - wanted) * left, wanted + (state - wanted) * (1.0 - left) * time / h
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def limits(p, j, speed, supply):  # type: ignore[no-untyped-def]
     """Return the least and greatest torque of a motor at a speed, with a share of the supply."""
     most, none = p[TORQUE, j] * supply, p[SPEED, j] * supply
@@ -90,7 +90,7 @@ def limits(p, j, speed, supply):  # type: ignore[no-untyped-def]
     return -min(max((none + speed) * slope, 0.0), most), high
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):  # type: ignore[no-untyped-def]
     """Return the mean torque of a motor over a step, its mean size, and the damping that is implicit in it.
 
@@ -150,7 +150,7 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
     return mean, size, kept
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def friction(p, s, j, size, needed):  # type: ignore[no-untyped-def]
     """Return the dry friction of a joint against forward and against backward motion."""
     level = p[COULOMB, j] + p[OF_LOAD, j] * size
@@ -161,7 +161,7 @@ def friction(p, s, j, size, needed):  # type: ignore[no-untyped-def]
     return max(level + p[ONE_WAY, j], 0.0), max(level - p[ONE_WAY, j], 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def resisting(p, s, j, neighbour):  # type: ignore[no-untyped-def]
     """Return the torque on a motor's shaft that depends on its speed, beside viscous friction."""
     torque, middle = 0.0, s[VM, j] + 0.5 * s[CHANGE, j]
@@ -174,7 +174,7 @@ def resisting(p, s, j, neighbour):  # type: ignore[no-untyped-def]
     return torque
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def placed(p, s, j):  # type: ignore[no-untyped-def]
     """Return the torques on a motor's shaft and on a link that depend on where they are."""
     on_motor = 0.0
@@ -184,7 +184,7 @@ def placed(p, s, j):  # type: ignore[no-untyped-def]
     return on_motor, p[MOMENT, j] - p[SPRING, j] * s[Q, j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def gear(p, s, j, h):  # type: ignore[no-untyped-def]
     """Return the torque of a transmission on its link, and the share of it that is implicit in their speeds.
 

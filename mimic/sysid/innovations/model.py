@@ -15,8 +15,8 @@ from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.innovations.data import Data
 from mimic.sysid.innovations.laws import KEYS, ROW
 from mimic.sysid.innovations.likelihood import DECAY, Gains, misfit, scales, weights
-from mimic.sysid.innovations.predictor import predict
-from mimic.sysid.innovations.tree import dynamics, links_of, scratch_of
+from mimic.sysid.innovations.predictor import arrays_of, predict
+from mimic.sysid.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
 
 STEP = 1.25e-3
 """Longest step of a pass [s]: a clean log replays at its noise, .31 mrad; at 2.5 ms .32 (design notes)."""
@@ -49,6 +49,7 @@ class Passes:
 
     def __init__(self, data: Data, threads: int = 1) -> None:
         self.data, self.threads, self.count = data, threads, 0
+        self._arrays = arrays_of(data.tree, data.record)
 
     def run(self, points: Sequence[FloatArray], gains: Sequence[FloatArray], step: float = STEP) -> list[FloatArray]:
         """Return innovations (T, J) of some tables of numbers with their gains."""
@@ -61,7 +62,7 @@ class Passes:
 
         def one(item: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
             out = np.empty((3, *self.data.record.y.shape))
-            predict(self.data.tree, self.data.record, item[0], item[1], DECAY, step, out[0], out[1], out[2])
+            predict(*self._arrays, item[0], item[1], DECAY, step, out)
             return out[0], out[1], out[2]
 
         self.count += len(points)
@@ -362,13 +363,14 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     known = np.isfinite(record.y)
     dt = np.gradient(record.t)
     smooth = np.stack([np.interp(record.t, record.t[known[:, j]], q[known[:, j], j]) for j in range(n)], -1)
-    inertia = np.zeros(n)
-    room = scratch_of(n)
-    one = np.ones(n)
-    links = links_of(data.tree, one, 0.0 * one, 0.0 * one)
-    dynamics(data.tree, links, data.tree.gravity, np.median(smooth, axis=0), np.zeros(n), room)
+    joints, shape = packed(data.tree)
+    one, tree = np.ones(n), data.tree
+    links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0.0 * one, 0.0 * one)
+    room, mass = np.zeros((n, ROOM)), np.zeros((n, n))
+    room[:, AT] = np.median(smooth, axis=0)
+    dynamics(joints, shape, links, tree.gravity, room, mass)
     rotor = blank[ROW["armature", "inertia"]]
-    inertia = np.diag(room.mass) + rotor
+    inertia = np.diag(mass) + rotor
     width = max(int(round(0.03 / float(np.median(dt)))), 1)
     kernel = np.ones(width) / width
     calm = np.stack([np.convolve(c, kernel, mode="same") for c in smooth.T], -1)
@@ -377,8 +379,9 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     used = data.counts & (np.abs(speed) < 1e3)
     needed = np.zeros_like(smooth)
     for i in range(0, len(smooth), 5):
-        dynamics(data.tree, links, data.tree.gravity, calm[i], speed[i], room)
-        needed[i : i + 5] = room.mass @ faster[i] + rotor * faster[i] + room.bias
+        room[:, AT], room[:, MOVING] = calm[i], speed[i]
+        dynamics(joints, shape, links, tree.gravity, room, mass)
+        needed[i : i + 5] = mass @ faster[i] + rotor * faster[i] + room[:, BIAS]
 
     def rms(x: FloatArray) -> FloatArray:
         return np.sqrt(np.where(used, x**2, 0.0).sum(0) / np.maximum(used.sum(0), 1)) + 1e-9

@@ -47,7 +47,19 @@ from mimic.sysid.innovations.laws import (
     resisting,
     unread,
 )
-from mimic.sysid.innovations.tree import dynamics, links_of, scratch_of
+from mimic.sysid.innovations.tree import (
+    AT,
+    BIAS,
+    END,
+    MOVING,
+    REST,
+    ROOM,
+    STIFFNESS,
+    Tree,
+    dynamics,
+    links_of,
+    packed,
+)
 
 LOST = 1e3
 """What a pass says where the machine flew apart: speeds beyond it, and predictions from there on [rad/s, rad]."""
@@ -100,7 +112,7 @@ class Record(NamedTuple):
     """(J,)"""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def gravity_of(gravity, roll, pitch):  # type: ignore[no-untyped-def]
     """Return gravity in the axes of a base turned by roll about x, then pitch about y."""
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
@@ -112,7 +124,7 @@ def gravity_of(gravity, roll, pitch):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def inverted(a, m):  # type: ignore[no-untyped-def]
     """Invert the first m rows and columns of a symmetric positive matrix in place."""
     if m == 1:
@@ -139,277 +151,304 @@ def inverted(a, m):  # type: ignore[no-untyped-def]
         a[k, k] = pivot
 
 
-@njit(cache=True, error_model="numpy")
-def braked(a, m, dv, forward, backward, push):  # type: ignore[no-untyped-def]
-    """Let dry friction act on velocities dv (m,) for a step: impulses within bounds that stop what they can.
+@njit(cache=True, error_model="numpy", forceinline=True)
+def braked(a, m, solve):  # type: ignore[no-untyped-def]
+    """Let dry friction act on velocities for a step: impulses within bounds that stop what they can.
 
     Args:
         a: Inverse of the masses (m, m).
         m: Joints and rotors.
-        dv: Velocities without friction; changed.
-        forward: Largest impulse against forward motion (m,).
-        backward: Against backward motion (m,).
-        push: Impulses of the last step, with which the search begins; changed.
+        solve: Velocities without friction, bounds, and the impulses of the last step, with which the search begins
+            (m, 5); velocities and impulses are changed.
     """
     most = 0.0
     for i in range(m):
-        push[i] = min(max(push[i], -forward[i]), backward[i])
-        most = max(most, forward[i], backward[i])
-        if push[i] != 0.0:
+        push = min(max(solve[i, LAST], -solve[i, FORWARD]), solve[i, BACKWARD])
+        solve[i, LAST] = push
+        most = max(most, solve[i, FORWARD], solve[i, BACKWARD])
+        if push != 0.0:
             for c in range(m):
-                dv[c] += a[c, i] * push[i]
+                solve[c, FAST] += a[c, i] * push
     for _ in range(SWEEPS):
         moved = 0.0
         for i in range(m):
-            new = min(max(push[i] - dv[i] / a[i, i], -forward[i]), backward[i])
-            by = new - push[i]
+            push = solve[i, LAST]
+            new = min(max(push - solve[i, FAST] / a[i, i], -solve[i, FORWARD]), solve[i, BACKWARD])
+            by = new - push
             if by != 0.0:
-                push[i] = new
+                solve[i, LAST] = new
                 for c in range(m):
-                    dv[c] += a[c, i] * by
+                    solve[c, FAST] += a[c, i] * by
                 moved = max(moved, abs(by))
         if moved <= EXACT * most:
             break
 
 
-class Room(NamedTuple):
-    """What one step computes on the way, by joint, and the equations of one chain with its rotors."""
+FAST, FORWARD, BACKWARD, LAST, PUSHED, SOLVE = range(6)
+"""Columns of the equations of a step: velocity, largest friction impulses against forward and backward motion, the last
+impulse, and that of all other forces."""
 
-    torque: FloatArray
-    """On the motor's shaft (J,)."""
-    link: FloatArray
-    """On the link beside (J,)."""
-    damping: FloatArray
-    """Implicit (J,)."""
-    size: FloatArray
-    """Mean size of the motor's torque (J,)."""
-    a: FloatArray
-    dv: FloatArray
-    forward: FloatArray
-    backward: FloatArray
-    push: FloatArray
-    pushed: FloatArray
-    """Friction impulses of the last step, of links and rotors (2 J,)."""
-    at: IntArray
-    """Target in effect in each joint (J,)."""
+TORQUE, ON_LINK, DAMPING, SIZE, ASKED = range(5)
+"""Rows of what drives do in a step: torque on the shaft, on the link beside, implicit damping, mean size."""
+
+READING, ADDED, STIFF, DAMP, INPUTS = range(5)
+"""Columns of a row of a log: reading, torque beside the targets, gains, which are 0 where the drive is off."""
+
+TIME, SINCE, SUPPLY, CLOCK = range(4)
+
+LOG, FRESH, SETTLED, MARKS = range(4)
+
+VOLTS, OWN_KT, OWN_OHM, NEIGHBOUR, MOTOR = range(5)
 
 
-@njit(cache=True, error_model="numpy")
-def room_of(n):  # type: ignore[no-untyped-def]
-    """Return room for so many joints."""
-    return Room(
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros((2 * n, 2 * n)),
-        np.zeros(2 * n),
-        np.zeros(2 * n),
-        np.zeros(2 * n),
-        np.zeros(2 * n),
-        np.zeros(2 * n),
-        np.zeros(n, dtype=np.int64),
+class Arrays(NamedTuple):
+    """A record and a tree as a pass takes them: few arrays, since compiled code counts references to each."""
+
+    joints: IntArray
+    shape: FloatArray
+    clock: FloatArray
+    """(T, 3)"""
+    inputs: FloatArray
+    """(T, J, 4)"""
+    marks: IntArray
+    """(T, 3)"""
+    sent: FloatArray
+    goal: FloatArray
+    motors: FloatArray
+    """(J, 4)"""
+    payload: FloatArray
+    own: tuple[FloatArray, ...]
+    """Masses, centres, inertias, directions and tips of the links."""
+    gravity: FloatArray
+
+
+def arrays_of(tree: Tree, record: Record) -> Arrays:
+    """Return a tree and a record as a pass takes them."""
+    joints, shape = packed(tree)
+    kp, kd = record.kp[record.log] * record.on, record.kd[record.log] * record.on
+    return Arrays(
+        joints=joints,
+        shape=shape,
+        clock=np.stack([record.t, record.since, record.supply], -1),
+        inputs=np.stack([record.y, record.force, kp, kd], -1),
+        marks=np.stack([record.log, record.fresh, record.settled], -1).astype(np.int64),
+        sent=record.sent,
+        goal=record.goal,
+        motors=np.stack([record.volts, record.kt, record.ohm, record.neighbour.astype(float)], -1),
+        payload=record.payload,
+        own=(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip),
+        gravity=tree.gravity,
     )
 
 
-@njit(cache=True, error_model="numpy")
-def ask(record, p, s, room, i, now, h, since):  # type: ignore[no-untyped-def]
-    """Let all drives and outer torques act for a step from a time on, which ends before row i."""
-    n, log = len(room.torque), record.log[i]
-    left = 1.0
-    if p[DROP, 0] != 0.0:
-        drawn = 0.0
-        for j in range(n):
-            drawn += max(s[TAU, j] * s[VM, j], 0.0)
-        left = max(1.0 - p[DROP, 0] * drawn, LEAST)
-    for j in range(n):
-        begin = now - p[DELAY, j] - p[JOINT_DELAY, j]
-        k = room.at[j]
-        while k + 1 < len(record.sent) and record.sent[k + 1] <= begin:
-            k += 1
-        first = second = record.goal[k, j]
+@njit(cache=True, error_model="numpy", forceinline=True)
+def supply_left(p, s):  # type: ignore[no-untyped-def]
+    """Return the share of the supply that is left while motors do the work of the last step."""
+    if p[DROP, 0] == 0.0:
+        return 1.0
+    drawn = 0.0
+    for j in range(s.shape[1]):
+        drawn += max(s[TAU, j] * s[VM, j], 0.0)
+    return max(1.0 - p[DROP, 0] * drawn, LEAST)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h):  # type: ignore[no-untyped-def]
+    """Let all drives and outer torques act for step k of those that end at row i."""
+    left = supply_left(p, s) * clock[i, SUPPLY]
+    for j in range(s.shape[1]):
+        begin = clock[i - 1, TIME] + k * h - p[DELAY, j] - p[JOINT_DELAY, j]
+        aim = at[j]
+        while aim + 1 < len(sent) and sent[aim + 1] <= begin:
+            aim += 1
+        at[j] = aim
+        first = goal[aim, j]
+        second = first
         share = 1.0
-        if k + 1 < len(record.sent) and record.sent[k + 1] < begin + h:
-            share = (record.sent[k + 1] - begin) / h
-            second = record.goal[k + 1, j]
-        room.at[j] = k
-        kp, kd = record.kp[log, j] * record.on[i - 1, j], record.kd[log, j] * record.on[i - 1, j]
-        if record.volts[j] > 0.0:
-            more = p[KT, j] / record.kt[j] * record.ohm[j] / p[OHM, j]
-            kp, kd = kp * more, kd * more * p[KT, j] / record.kt[j]
-        supply = record.supply[i] * left
-        torque, size, kept = drive(
-            p, s, j, h, since, first, second, share, kp, kd, record.force[i - 1, j], supply, record.volts[j]
-        )
+        if aim + 1 < len(sent) and sent[aim + 1] < begin + h:
+            share = (sent[aim + 1] - begin) / h
+            second = goal[aim + 1, j]
+        kp, kd = inputs[i - 1, j, STIFF], inputs[i - 1, j, DAMP]
+        volts = motors[j, VOLTS]
+        if volts > 0.0:
+            more = p[KT, j] / motors[j, OWN_KT] * motors[j, OWN_OHM] / p[OHM, j]
+            kp, kd = kp * more, kd * more * p[KT, j] / motors[j, OWN_KT]
+        since = clock[i - 1, SINCE] + k * h
+        torque, size, kept = drive(p, s, j, h, since, first, second, share, kp, kd, inputs[i - 1, j, ADDED], left, volts)
         on_motor, on_link = placed(p, s, j)
-        torque += on_motor + resisting(p, s, j, record.neighbour[j]) - p[VISCOUS, j] * s[VM, j] + s[W, j]
-        room.torque[j], room.link[j], room.size[j] = torque, on_link, size
-        room.damping[j] = p[VISCOUS, j] + kept
+        torque += on_motor + resisting(p, s, j, int(motors[j, NEIGHBOUR])) - p[VISCOUS, j] * s[VM, j] + s[W, j]
+        acts[TORQUE, j], acts[ON_LINK, j], acts[SIZE, j] = torque, on_link, size
+        acts[DAMPING, j] = p[VISCOUS, j] + kept
 
 
-@njit(cache=True, error_model="numpy")
-def move(tree, p, s, room, dyn, h):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", forceinline=True)
+def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # type: ignore[no-untyped-def]
+    """Write the masses (C, C), forces and friction of a chain with its rotors; return how many there are."""
+    end = joints[begin, END]
+    m = end - begin
+    count = m
+    for j in range(begin, end):
+        count += 1 if elastic(p, j) else 0
+    for i in range(count):
+        for c in range(count):
+            a[i, c] = mass[begin + i, begin + c] if i < m and c < m else 0.0
+    row = m
+    for j in range(begin, end):
+        i = j - begin
+        spring = shape[j, STIFFNESS] * (s[Q, j] - shape[j, REST])
+        forward, backward = friction(p, s, j, acts[SIZE, j], room[j, BIAS])
+        inertia = p[ROTOR, j] + 0.5 * h * acts[DAMPING, j]
+        link = acts[ON_LINK, j] - room[j, BIAS] - spring
+        at = i
+        if elastic(p, j):
+            at = row
+            row += 1
+            torque, implicit = gear(p, s, j, h)
+            a[i, i] += h * implicit
+            a[i, at] -= h * implicit
+            a[at, i] -= h * implicit
+            a[at, at] = inertia + h * implicit
+            solve[i, PUSHED] = h * (torque + link)
+            solve[at, PUSHED] = h * (acts[TORQUE, j] - torque)
+            solve[i, FORWARD] = solve[i, BACKWARD] = solve[i, LAST] = 0.0
+        else:
+            a[i, i] += inertia
+            solve[i, PUSHED] = h * (acts[TORQUE, j] + link)
+        solve[at, FORWARD], solve[at, BACKWARD], solve[at, LAST] = h * forward, h * backward, s[PUSH, j]
+        solve[i, FAST] = s[V, j]
+        solve[at, FAST] = s[VM, j]
+    return count
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no-untyped-def]
     """Bring the velocities of all joints and rotors to the end of a step."""
-    n = len(room.torque)
-    a, dv = room.a, room.dv
+    n = s.shape[1]
     begin = 0
     while begin < n:
-        end = tree.end[begin]
-        m = end - begin
-        count = m
-        for j in range(begin, end):
-            if elastic(p, j):
-                count += 1
-        a[:count, :count] = 0.0
-        row = m
-        for j in range(begin, end):
-            i = j - begin
-            for c in range(m):
-                a[i, c] = dyn.mass[j, begin + c]
-            spring = tree.stiffness[j] * (s[Q, j] - tree.rest[j])
-            forward, backward = friction(p, s, j, room.size[j], dyn.bias[j])
-            inertia = p[ROTOR, j] + 0.5 * h * room.damping[j]
-            at = i
-            if elastic(p, j):
-                at = row
-                row += 1
-                torque, implicit = gear(p, s, j, h)
-                a[i, i] += h * implicit
-                a[i, at] -= h * implicit
-                a[at, i] -= h * implicit
-                a[at, at] = inertia + h * implicit
-                dv[i] = torque + room.link[j] - dyn.bias[j] - spring
-                dv[at] = room.torque[j] - torque
-                room.forward[i] = room.backward[i] = 0.0
-                room.push[i] = 0.0
-            else:
-                a[i, i] += inertia
-                dv[i] = room.torque[j] + room.link[j] - dyn.bias[j] - spring
-            room.forward[at], room.backward[at] = h * forward, h * backward
-            room.push[at] = s[PUSH, j]
+        end = joints[begin, END]
+        count = equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h)
         inverted(a, count)
-        impulse = room.pushed
-        for i in range(count):
-            impulse[i] = h * dv[i]
-        row = m
         for i in range(count):
             change = 0.0
             for c in range(count):
-                change += a[i, c] * impulse[c]
-            if i < m:
-                dv[i] = s[V, begin + i] + change
-            else:
-                dv[i] = change
+                change += a[i, c] * solve[c, PUSHED]
+            solve[i, FAST] += change
+        braked(a, count, solve)
+        row = end - begin
         for j in range(begin, end):
-            if elastic(p, j):
-                dv[row] += s[VM, j]
-                row += 1
-        braked(a, count, dv, room.forward, room.backward, room.push)
-        row = m
-        for j in range(begin, end):
-            s[V, j] = dv[j - begin]
-            before = s[VM, j]
             at = j - begin
+            s[V, j] = solve[at, FAST]
             if elastic(p, j):
                 at = row
                 row += 1
-            s[VM, j] = dv[at]
-            s[CHANGE, j] = dv[at] - before
-            s[PUSH, j] = room.push[at]
+            s[CHANGE, j] = solve[at, FAST] - s[VM, j]
+            s[VM, j] = solve[at, FAST]
+            s[PUSH, j] = solve[at, LAST]
         begin = end
 
 
-@njit(cache=True, error_model="numpy")
-def begin_at(record, p, s, room, i):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", forceinline=True)
+def begin_at(clock, inputs, sent, goal, p, s, at, i):  # type: ignore[no-untyped-def]
     """Let a pass begin at rest at the readings of a row."""
     s[:] = 0.0
-    k = 0
-    for j in range(len(room.torque)):
+    for j in range(s.shape[1]):
         row = i
-        while row + 1 < len(record.t) and not np.isfinite(record.y[row, j]):
+        while row + 1 < len(clock) and not np.isfinite(inputs[row, j, READING]):
             row += 1
-        s[Q, j] = s[QM, j] = unread(p, j, record.y[row, j])
-        while k + 1 < len(record.sent) and record.sent[k + 1] <= record.t[i] - p[DELAY, j] - p[JOINT_DELAY, j]:
-            k += 1
-        room.at[j] = 0
-        s[GOAL, j] = record.goal[k, j]
+        s[Q, j] = unread(p, j, inputs[row, j, READING])
+        s[QM, j] = s[Q, j]
+        aim = 0
+        while aim + 1 < len(sent) and sent[aim + 1] <= clock[i, TIME] - p[DELAY, j] - p[JOINT_DELAY, j]:
+            aim += 1
+        at[j] = aim
+        s[GOAL, j] = goal[aim, j]
 
 
-@njit(cache=True, error_model="numpy")
-def correct(p, s, y, gains, predicted, unknown, torque):  # type: ignore[no-untyped-def]
-    """Write what is predicted of a row (J,), and correct the state by what was read."""
-    for j in range(len(y)):
-        predicted[j] = reads(p, j, s[QM, j])
-        unknown[j], torque[j] = s[W, j], s[TAU, j]
-        off = y[j] - predicted[j]
+@njit(cache=True, error_model="numpy", forceinline=True)
+def correct(p, s, inputs, gains, out, i, log, settled):  # type: ignore[no-untyped-def]
+    """Write what is predicted of a row, and correct the state by what was read."""
+    for j in range(s.shape[1]):
+        out[0, i, j] = reads(p, j, s[QM, j])
+        out[1, i, j], out[2, i, j] = s[W, j], s[TAU, j]
+        off = inputs[i, j, READING] - out[0, i, j]
         if np.isfinite(off):
-            s[Q, j] += gains[j, 0] * off
-            s[QM, j] += gains[j, 0] * off
-            s[V, j] += gains[j, 1] * off
-            s[VM, j] += gains[j, 1] * off
-            s[W, j] += gains[j, 2] * off
+            s[Q, j] += gains[log, settled, j, 0] * off
+            s[QM, j] += gains[log, settled, j, 0] * off
+            s[V, j] += gains[log, settled, j, 1] * off
+            s[VM, j] += gains[log, settled, j, 1] * off
+            s[W, j] += gains[log, settled, j, 2] * off
 
 
-@njit(cache=True, error_model="numpy")
-def advance(tree, record, p, s, links, gravity, i, step, decay, room, dyn):  # type: ignore[no-untyped-def]
-    """Step from row i - 1 to row i; return whether the machine holds together."""
-    n = len(room.torque)
-    gap = record.t[i] - record.t[i - 1]
-    steps = max(int(np.ceil(gap / step - 1e-3)), 1)
-    h = gap / steps
-    kept = np.exp(-h / decay)
-    mid = np.empty(n)
-    for k in range(steps):
-        now = record.t[i - 1] + k * h
-        for j in range(n):
-            s[Q, j] += 0.5 * h * s[V, j]
-            s[QM, j] += 0.5 * h * s[VM, j]
-            mid[j] = s[V, j] + 0.5 * s[CHANGE, j] if not elastic(p, j) else s[V, j]
-        dynamics(tree, links, gravity, s[Q], mid, dyn)
-        ask(record, p, s, room, i, now, h, record.since[i - 1] + k * h)
-        move(tree, p, s, room, dyn, h)
-        for j in range(n):
-            s[Q, j] += 0.5 * h * s[V, j]
-            s[QM, j] += 0.5 * h * s[VM, j]
-            s[W, j] *= kept
-            if not abs(s[V, j]) < LOST or not abs(s[VM, j]) < LOST:
-                return False
-    return True
+@njit(cache=True, error_model="numpy", forceinline=True)
+def half(p, s, room, h):  # type: ignore[no-untyped-def]
+    """Bring positions half of a step on; return whether the machine holds together."""
+    whole = True
+    for j in range(s.shape[1]):
+        s[Q, j] += 0.5 * h * s[V, j]
+        s[QM, j] += 0.5 * h * s[VM, j]
+        room[j, AT] = s[Q, j]
+        room[j, MOVING] = s[V, j] if elastic(p, j) else s[V, j] + 0.5 * s[CHANGE, j]
+        whole = whole and abs(s[V, j]) < LOST and abs(s[VM, j]) < LOST
+    return whole
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def predict(tree, record, p, gains, decay, step, predicted, unknown, torque):  # type: ignore[no-untyped-def]
-    """Write what a machine with these numbers is predicted to do, reading by reading.
+def predict(  # type: ignore[no-untyped-def]
+    joints, shape, clock, inputs, marks, sent, goal, motors, payload, own, gravity, p, gains, decay, step, out
+):
+    """Write what a machine with some numbers is predicted to do, reading by reading.
 
     Args:
-        tree: The machine.
-        record: Its logs.
+        joints: These and all before p are `Arrays`.
+        shape: -
+        clock: -
+        inputs: -
+        marks: -
+        sent: -
+        goal: -
+        motors: -
+        payload: -
+        own: -
+        gravity: -
         p: Numbers (S, J).
         gains: Corrections of position, velocity and unknown torque for each radian (L, 2, J, 3): while the start is
             sought, and after.
         decay: Time constant of the unknown torque [s].
         step: Longest step [s].
-        predicted: Takes the readings (T, J).
-        unknown: Takes the unknown torque (T, J).
-        torque: Takes that of the motors (T, J).
+        out: Takes predicted readings, unknown torques and those of the motors (3, T, J).
 
     Returns:
         Whether the machine held together.
     """
-    n = record.y.shape[1]
-    s = np.zeros((STATES, n))
-    room, dyn = room_of(n), scratch_of(n)
-    gravity = gravity_of(tree.gravity, p[ROLL, 0], p[PITCH, 0])
-    links = links_of(tree, p[FACTOR], p[SHIFT], p[LOAD])
-    for i in range(len(record.t)):
-        if record.fresh[i]:
-            links = links_of(tree, p[FACTOR], p[SHIFT], p[LOAD] + record.payload[record.log[i]])
-            begin_at(record, p, s, room, i)
-        elif not advance(tree, record, p, s, links, gravity, i, step, decay, room, dyn):
-            predicted[i:] = LOST
-            unknown[i:] = 0.0
-            torque[i:] = 0.0
-            return False
-        own = gains[record.log[i], 1 if record.settled[i] else 0]
-        correct(p, s, record.y[i], own, predicted[i], unknown[i], torque[i])
+    n = inputs.shape[1]
+    s, room, mass = np.zeros((STATES, n)), np.zeros((n, ROOM)), np.zeros((n, n))
+    acts, a, solve = np.zeros((ASKED, n)), np.zeros((2 * n, 2 * n)), np.zeros((2 * n, SOLVE))
+    at = np.zeros(n, dtype=np.int64)
+    pull = gravity_of(gravity, p[ROLL, 0], p[PITCH, 0])
+    links = np.zeros((n, 10))
+    for i in range(len(clock)):
+        log = marks[i, LOG]
+        if marks[i, FRESH]:
+            links = links_of(own[0], own[1], own[2], own[3], own[4], p[FACTOR], p[SHIFT], p[LOAD] + payload[log])
+            begin_at(clock, inputs, sent, goal, p, s, at, i)
+            correct(p, s, inputs, gains, out, i, log, marks[i, SETTLED])
+            continue
+        gap = clock[i, TIME] - clock[i - 1, TIME]
+        steps = max(int(np.ceil(gap / step - 1e-3)), 1)
+        h = gap / steps
+        kept = np.exp(-h / decay)
+        for k in range(steps):
+            half(p, s, room, h)
+            dynamics(joints, shape, links, pull, room, mass)
+            ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h)
+            move(joints, shape, p, s, acts, room, mass, a, solve, h)
+            for j in range(n):
+                s[W, j] *= kept
+            if not half(p, s, room, h):
+                out[0, i:] = LOST
+                out[1, i:] = 0.0
+                out[2, i:] = 0.0
+                return False
+        correct(p, s, inputs, gains, out, i, log, marks[i, SETTLED])
     return True

@@ -133,215 +133,214 @@ def _joined(model: Any, data: Any, links: list[int]) -> tuple[float, FloatArray,
 LINK = 10
 """Numbers of a rigid body: mass, mass times centre (3), inertia about the origin xx xy xz yy yz zz."""
 
+FRAME, ORIGIN, SCREW, BODY, SPEED, RATE, FORCE, BIAS, AT, MOVING, ROOM = 0, 9, 12, 18, 28, 34, 40, 46, 47, 48, 49
+"""Columns of the room of a joint: axes (row by row), origin, unit motion, composite body, spatial velocity,
+acceleration and force, bias force, position, velocity; one array for all, since compiled code counts references to
+every array that it touches."""
 
-@njit(cache=True, error_model="numpy")
+PARENT, SLIDE, FIRST, END = range(4)
+"""Columns of the joints as whole numbers."""
+
+OFFSET, ZERO, STIFFNESS, REST, SHAPE = 9, 12, 13, 14, 15
+"""Columns of their geometry, after the rotation row by row."""
+
+
+def packed(tree: Tree) -> tuple[IntArray, FloatArray]:
+    """Return a tree as whole numbers (J, 4) and geometry (J, 15)."""
+    whole = np.stack([tree.parent, tree.slide, tree.first, tree.end], -1).astype(np.int64)
+    turned = tree.rotation.reshape(len(whole), 9)
+    rest = np.stack([tree.zero, tree.stiffness, tree.rest], -1)
+    return whole, np.ascontiguousarray(np.concatenate([turned, tree.offset, rest], axis=1))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def cross(a, b, c, x, y, z):  # type: ignore[no-untyped-def]
     """Return the cross product of two vectors given by their components."""
     return b * z - c * y, c * x - a * z, a * y - b * x
 
 
-@njit(cache=True, error_model="numpy")
-def place(tree, q, frame, origin, screw):  # type: ignore[no-untyped-def]
-    """Write the axes (J, 3, 3), origins (J, 3) and unit motions (J, 6) of all joints at positions q (J,)."""
-    for i in range(len(q)):
-        r, before = tree.rotation[i], tree.parent[i]
-        turn = q[i] - tree.zero[i]
+@njit(cache=True, error_model="numpy", forceinline=True)
+def place(joints, shape, room):  # type: ignore[no-untyped-def]
+    """Write axes, origins and unit motions of all joints at their positions."""
+    for i in range(len(joints)):
+        before = joints[i, PARENT]
+        turn = room[i, AT] - shape[i, ZERO]
         for a in range(3):
+            r = FRAME + 3 * a
             if before < 0:
-                x, y, z = r[a, 0], r[a, 1], r[a, 2]
-                at = tree.offset[i, a]
+                x, y, z = shape[i, r], shape[i, r + 1], shape[i, r + 2]
+                at = shape[i, OFFSET + a]
             else:
-                u = frame[before]
-                x = u[a, 0] * r[0, 0] + u[a, 1] * r[1, 0] + u[a, 2] * r[2, 0]
-                y = u[a, 0] * r[0, 1] + u[a, 1] * r[1, 1] + u[a, 2] * r[2, 1]
-                z = u[a, 0] * r[0, 2] + u[a, 1] * r[1, 2] + u[a, 2] * r[2, 2]
-                at = origin[before, a] + (
-                    u[a, 0] * tree.offset[i, 0] + u[a, 1] * tree.offset[i, 1] + u[a, 2] * tree.offset[i, 2]
-                )
-            frame[i, a, 0], frame[i, a, 1], frame[i, a, 2] = x, y, z
-            origin[i, a] = at
-        f = frame[i]
-        if tree.slide[i]:
+                u, v, w = room[before, r], room[before, r + 1], room[before, r + 2]
+                x = u * shape[i, 0] + v * shape[i, 3] + w * shape[i, 6]
+                y = u * shape[i, 1] + v * shape[i, 4] + w * shape[i, 7]
+                z = u * shape[i, 2] + v * shape[i, 5] + w * shape[i, 8]
+                at = room[before, ORIGIN + a]
+                at += u * shape[i, OFFSET] + v * shape[i, OFFSET + 1] + w * shape[i, OFFSET + 2]
+            room[i, r], room[i, r + 1], room[i, r + 2] = x, y, z
+            room[i, ORIGIN + a] = at
+        if joints[i, SLIDE]:
             for a in range(3):
-                origin[i, a] += f[a, 2] * turn
-                screw[i, a], screw[i, 3 + a] = 0.0, f[a, 2]
+                along = room[i, FRAME + 3 * a + 2]
+                room[i, ORIGIN + a] += along * turn
+                room[i, SCREW + a], room[i, SCREW + 3 + a] = 0.0, along
         else:
             c, s = np.cos(turn), np.sin(turn)
             for a in range(3):
-                x, y = f[a, 0], f[a, 1]
-                f[a, 0], f[a, 1] = c * x + s * y, c * y - s * x
-                screw[i, a] = f[a, 2]
-            o = origin[i]
-            screw[i, 3], screw[i, 4], screw[i, 5] = cross(o[0], o[1], o[2], f[0, 2], f[1, 2], f[2, 2])
+                r = FRAME + 3 * a
+                x, y = room[i, r], room[i, r + 1]
+                room[i, r], room[i, r + 1] = c * x + s * y, c * y - s * x
+                room[i, SCREW + a] = room[i, r + 2]
+            x, y, z = room[i, ORIGIN], room[i, ORIGIN + 1], room[i, ORIGIN + 2]
+            u, v, w = cross(x, y, z, room[i, SCREW], room[i, SCREW + 1], room[i, SCREW + 2])
+            room[i, SCREW + 3], room[i, SCREW + 4], room[i, SCREW + 5] = u, v, w
 
 
-@njit(cache=True, error_model="numpy")
-def weigh(links, frame, origin, body):  # type: ignore[no-untyped-def]
-    """Write each link's numbers (J, 10) about the world's origin in world axes, from those in its own frame."""
+@njit(cache=True, error_model="numpy", forceinline=True)
+def weigh(links, room):  # type: ignore[no-untyped-def]
+    """Write each link's numbers about the world's origin in world axes, from those in its own frame (J, 10)."""
     for i in range(len(links)):
-        f, o, own, out = frame[i], origin[i], links[i], body[i]
-        m = own[0]
-        hx = f[0, 0] * own[1] + f[0, 1] * own[2] + f[0, 2] * own[3]
-        hy = f[1, 0] * own[1] + f[1, 1] * own[2] + f[1, 2] * own[3]
-        hz = f[2, 0] * own[1] + f[2, 1] * own[2] + f[2, 2] * own[3]
-        k = 4
+        m, cx, cy, cz = links[i, 0], links[i, 1], links[i, 2], links[i, 3]
+        hx = room[i, 0] * cx + room[i, 1] * cy + room[i, 2] * cz
+        hy = room[i, 3] * cx + room[i, 4] * cy + room[i, 5] * cz
+        hz = room[i, 6] * cx + room[i, 7] * cy + room[i, 8] * cz
+        k = BODY + 4
         for a in range(3):
-            x = f[a, 0] * own[4] + f[a, 1] * own[5] + f[a, 2] * own[6]
-            y = f[a, 0] * own[5] + f[a, 1] * own[7] + f[a, 2] * own[8]
-            z = f[a, 0] * own[6] + f[a, 1] * own[8] + f[a, 2] * own[9]
+            u, v, w = room[i, 3 * a], room[i, 3 * a + 1], room[i, 3 * a + 2]
+            x = u * links[i, 4] + v * links[i, 5] + w * links[i, 6]
+            y = u * links[i, 5] + v * links[i, 7] + w * links[i, 8]
+            z = u * links[i, 6] + v * links[i, 8] + w * links[i, 9]
             for b in range(a, 3):
-                out[k] = x * f[b, 0] + y * f[b, 1] + z * f[b, 2]
+                room[i, k] = x * room[i, 3 * b] + y * room[i, 3 * b + 1] + z * room[i, 3 * b + 2]
                 k += 1
-        px, py, pz = o[0], o[1], o[2]
+        px, py, pz = room[i, ORIGIN], room[i, ORIGIN + 1], room[i, ORIGIN + 2]
         gx, gy, gz = 2.0 * hx + m * px, 2.0 * hy + m * py, 2.0 * hz + m * pz
         trace = px * gx + py * gy + pz * gz
-        out[4] += trace - px * gx
-        out[5] -= px * hy + py * hx + m * px * py
-        out[6] -= px * hz + pz * hx + m * px * pz
-        out[7] += trace - py * gy
-        out[8] -= py * hz + pz * hy + m * py * pz
-        out[9] += trace - pz * gz
-        out[0], out[1], out[2], out[3] = m, hx + m * px, hy + m * py, hz + m * pz
+        room[i, BODY + 4] += trace - px * gx
+        room[i, BODY + 5] -= px * hy + py * hx + m * px * py
+        room[i, BODY + 6] -= px * hz + pz * hx + m * px * pz
+        room[i, BODY + 7] += trace - py * gy
+        room[i, BODY + 8] -= py * hz + pz * hy + m * py * pz
+        room[i, BODY + 9] += trace - pz * gz
+        room[i, BODY], room[i, BODY + 1] = m, hx + m * px
+        room[i, BODY + 2], room[i, BODY + 3] = hy + m * py, hz + m * pz
 
 
-@njit(cache=True, error_model="numpy")
-def momentum(b, s):  # type: ignore[no-untyped-def]
-    """Return angular and linear momentum about the origin of a body (10,) that moves by a spatial velocity (6,)."""
-    x, y, z = cross(b[1], b[2], b[3], s[3], s[4], s[5])
-    u, v, w = cross(s[0], s[1], s[2], b[1], b[2], b[3])
+@njit(cache=True, error_model="numpy", forceinline=True)
+def momentum(room, i, s):  # type: ignore[no-untyped-def]
+    """Return angular and linear momentum about the origin of a joint's body at the spatial velocity in column s."""
+    b, a = BODY, s
+    wx, wy, wz = room[i, a], room[i, a + 1], room[i, a + 2]
+    vx, vy, vz = room[i, a + 3], room[i, a + 4], room[i, a + 5]
+    hx, hy, hz = room[i, b + 1], room[i, b + 2], room[i, b + 3]
+    x, y, z = cross(hx, hy, hz, vx, vy, vz)
+    u, v, w = cross(wx, wy, wz, hx, hy, hz)
+    m = room[i, b]
     return (
-        b[4] * s[0] + b[5] * s[1] + b[6] * s[2] + x,
-        b[5] * s[0] + b[7] * s[1] + b[8] * s[2] + y,
-        b[6] * s[0] + b[8] * s[1] + b[9] * s[2] + z,
-        b[0] * s[3] + u,
-        b[0] * s[4] + v,
-        b[0] * s[5] + w,
+        room[i, b + 4] * wx + room[i, b + 5] * wy + room[i, b + 6] * wz + x,
+        room[i, b + 5] * wx + room[i, b + 7] * wy + room[i, b + 8] * wz + y,
+        room[i, b + 6] * wx + room[i, b + 8] * wy + room[i, b + 9] * wz + z,
+        m * vx + u,
+        m * vy + v,
+        m * vz + w,
     )
 
 
-@njit(cache=True, error_model="numpy")
-def forces(tree, gravity, dq, screw, body, speed, rate, force):  # type: ignore[no-untyped-def]
-    """Write the force (J, 6) that each link needs at velocities dq (J,) without acceleration of the joints."""
-    for i in range(len(dq)):
-        s, before, v, a = screw[i], tree.parent[i], speed[i], rate[i]
+@njit(cache=True, error_model="numpy", forceinline=True)
+def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
+    """Write the spatial force that each link needs at the velocities, without acceleration of the joints."""
+    for i in range(len(joints)):
+        before, dq = joints[i, PARENT], room[i, MOVING]
         for k in range(6):
-            v[k] = s[k] * dq[i]
-            a[k] = 0.0
+            room[i, SPEED + k] = room[i, SCREW + k] * dq
+            room[i, RATE + k] = 0.0 if k < 3 else -gravity[k - 3]
         if before >= 0:
             for k in range(6):
-                v[k] += speed[before, k]
-                a[k] = rate[before, k]
-        else:
-            for k in range(3):
-                a[3 + k] = -gravity[k]
-        x, y, z = cross(v[0], v[1], v[2], s[0], s[1], s[2])
-        a[0] += x * dq[i]
-        a[1] += y * dq[i]
-        a[2] += z * dq[i]
-        x, y, z = cross(v[0], v[1], v[2], s[3], s[4], s[5])
-        u, g, w = cross(v[3], v[4], v[5], s[0], s[1], s[2])
-        a[3] += (x + u) * dq[i]
-        a[4] += (y + g) * dq[i]
-        a[5] += (z + w) * dq[i]
-        f = force[i]
-        f[0], f[1], f[2], f[3], f[4], f[5] = momentum(body[i], a)
-        l0, l1, l2, p0, p1, p2 = momentum(body[i], v)
-        x, y, z = cross(v[0], v[1], v[2], l0, l1, l2)
-        u, g, w = cross(v[3], v[4], v[5], p0, p1, p2)
-        f[0] += x + u
-        f[1] += y + g
-        f[2] += z + w
-        x, y, z = cross(v[0], v[1], v[2], p0, p1, p2)
-        f[3] += x
-        f[4] += y
-        f[5] += z
+                room[i, SPEED + k] += room[before, SPEED + k]
+                room[i, RATE + k] = room[before, RATE + k]
+        s0, s1, s2 = room[i, SCREW] * dq, room[i, SCREW + 1] * dq, room[i, SCREW + 2] * dq
+        s3, s4, s5 = room[i, SCREW + 3] * dq, room[i, SCREW + 4] * dq, room[i, SCREW + 5] * dq
+        w0, w1, w2 = room[i, SPEED], room[i, SPEED + 1], room[i, SPEED + 2]
+        v0, v1, v2 = room[i, SPEED + 3], room[i, SPEED + 4], room[i, SPEED + 5]
+        x, y, z = cross(w0, w1, w2, s0, s1, s2)
+        room[i, RATE] += x
+        room[i, RATE + 1] += y
+        room[i, RATE + 2] += z
+        x, y, z = cross(w0, w1, w2, s3, s4, s5)
+        u, g, w = cross(v0, v1, v2, s0, s1, s2)
+        room[i, RATE + 3] += x + u
+        room[i, RATE + 4] += y + g
+        room[i, RATE + 5] += z + w
+        f0, f1, f2, f3, f4, f5 = momentum(room, i, RATE)
+        l0, l1, l2, p0, p1, p2 = momentum(room, i, SPEED)
+        x, y, z = cross(w0, w1, w2, l0, l1, l2)
+        u, g, w = cross(v0, v1, v2, p0, p1, p2)
+        room[i, FORCE], room[i, FORCE + 1], room[i, FORCE + 2] = f0 + x + u, f1 + y + g, f2 + z + w
+        x, y, z = cross(w0, w1, w2, p0, p1, p2)
+        room[i, FORCE + 3], room[i, FORCE + 4], room[i, FORCE + 5] = f3 + x, f4 + y, f5 + z
 
 
-@njit(cache=True, error_model="numpy")
-def gather(tree, screw, body, force, mass, bias):  # type: ignore[no-untyped-def]
-    """Write mass matrix (J, J) and bias forces (J,), from the last joint to the base; bodies become composite ones."""
-    for i in range(len(bias) - 1, -1, -1):
-        s, f, before = screw[i], force[i], tree.parent[i]
-        bias[i] = s[0] * f[0] + s[1] * f[1] + s[2] * f[2] + s[3] * f[3] + s[4] * f[4] + s[5] * f[5]
+@njit(cache=True, error_model="numpy", forceinline=True)
+def gather(joints, room, mass):  # type: ignore[no-untyped-def]
+    """Write mass matrix (J, J) and bias forces, from the last joint to the base; bodies become composite ones."""
+    for i in range(len(joints) - 1, -1, -1):
+        before = joints[i, PARENT]
+        bias = 0.0
+        for k in range(6):
+            bias += room[i, SCREW + k] * room[i, FORCE + k]
+        room[i, BIAS] = bias
         if before >= 0:
             for k in range(6):
-                force[before, k] += f[k]
-            for k in range(10):
-                body[before, k] += body[i, k]
-        a, b, c, x, y, z = momentum(body[i], s)
+                room[before, FORCE + k] += room[i, FORCE + k]
+            for k in range(LINK):
+                room[before, BODY + k] += room[i, BODY + k]
+        a, b, c, x, y, z = momentum(room, i, SCREW)
         j = i
         while j >= 0:
-            r = screw[j]
-            mass[i, j] = r[0] * a + r[1] * b + r[2] * c + r[3] * x + r[4] * y + r[5] * z
-            mass[j, i] = mass[i, j]
-            j = tree.parent[j]
+            own = room[j, SCREW] * a + room[j, SCREW + 1] * b + room[j, SCREW + 2] * c
+            own += room[j, SCREW + 3] * x + room[j, SCREW + 4] * y + room[j, SCREW + 5] * z
+            mass[i, j] = own
+            mass[j, i] = own
+            j = joints[j, PARENT]
 
 
-class Scratch(NamedTuple):
-    """Room for the dynamics of one simulation."""
-
-    frame: FloatArray
-    origin: FloatArray
-    screw: FloatArray
-    body: FloatArray
-    speed: FloatArray
-    rate: FloatArray
-    force: FloatArray
-    mass: FloatArray
-    bias: FloatArray
-
-
-@njit(cache=True, error_model="numpy")
-def scratch_of(count):  # type: ignore[no-untyped-def]
-    """Return room for so many joints."""
-    six = np.zeros((4, count, 6))
-    return Scratch(
-        np.zeros((count, 3, 3)),
-        np.zeros((count, 3)),
-        six[0],
-        np.zeros((count, LINK)),
-        six[1],
-        six[2],
-        six[3],
-        np.zeros((count, count)),
-        np.zeros(count),
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def dynamics(tree, links, gravity, q, dq, room):  # type: ignore[no-untyped-def]
-    """Write mass matrix and bias forces (gravity, Coriolis, centrifugal) at a state into a scratch.
+@njit(cache=True, error_model="numpy", forceinline=True)
+def dynamics(joints, shape, links, gravity, room, mass):  # type: ignore[no-untyped-def]
+    """Write mass matrix and bias forces (gravity, Coriolis, centrifugal) at the positions and velocities in the room.
 
     Args:
-        tree: The machine.
+        joints: Whole numbers of the tree (J, 4).
+        shape: Its geometry (J, 15).
         links: Numbers of its links in their frames (J, 10): mass, mass times centre, inertia about the frame's origin.
         gravity: In base axes (3,) [m/s^2].
-        q: Positions (J,).
-        dq: Velocities (J,).
-        room: Takes what is found.
+        room: Positions and velocities, and takes the bias forces (J, 49).
+        mass: Takes the mass matrix (J, J).
     """
-    place(tree, q, room.frame, room.origin, room.screw)
-    weigh(links, room.frame, room.origin, room.body)
-    forces(tree, gravity, dq, room.screw, room.body, room.speed, room.rate, room.force)
-    gather(tree, room.screw, room.body, room.force, room.mass, room.bias)
+    place(joints, shape, room)
+    weigh(links, room)
+    forces(joints, gravity, room)
+    gather(joints, room, mass)
 
 
 @njit(cache=True, error_model="numpy")
-def links_of(tree, factor, shift, load):  # type: ignore[no-untyped-def]
-    """Return the numbers of all links (J, 10) with masses scaled, centres shifted and tips loaded, each (J,)."""
-    count = len(tree.mass)
+def links_of(mass, centre, inertia, toward, tip, factor, shift, load):  # type: ignore[no-untyped-def]
+    """Return the numbers of all links (J, 10), as `Tree` has them but with masses scaled by a factor, centres shifted
+    toward the tip and tips loaded, each (J,).
+    """
+    count = len(mass)
     out = np.zeros((count, LINK))
     for j in range(count):
-        m = tree.mass[j] * factor[j]
-        c = tree.centre[j] + shift[j] * tree.toward[j]
-        whole = tree.inertia[j] * factor[j]
+        m = mass[j] * factor[j]
+        square = 0.0
         k = 4
         for a in range(3):
-            out[j, 1 + a] = m * c[a] + load[j] * tree.tip[j, a]
+            c = centre[j, a] + shift[j] * toward[j, a]
+            out[j, 1 + a] = m * c + load[j] * tip[j, a]
+            square += m * c * c + load[j] * tip[j, a] * tip[j, a]
             for b in range(a, 3):
-                out[j, k] = whole[a, b] - m * c[a] * c[b] - load[j] * tree.tip[j, a] * tree.tip[j, b]
+                other = centre[j, b] + shift[j] * toward[j, b]
+                out[j, k] = inertia[j, a, b] * factor[j] - m * c * other - load[j] * tip[j, a] * tip[j, b]
                 k += 1
-        square = m * (c @ c) + load[j] * (tree.tip[j] @ tree.tip[j])
         out[j, 4] += square
         out[j, 7] += square
         out[j, 9] += square
