@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from mimic.dynamics.catalogue import CATALOGUE
+from mimic.sysid.innovations.tree import FAST_MATH
 
 KEYS = tuple((e.name, p.name) for e in CATALOGUE.values() for p in e.parameters)
 """Rows of the table of numbers."""
@@ -30,7 +31,8 @@ STRIBECK, STRIBECK_SPEED = ROW["stribeck", "level"], ROW["stribeck", "speed"]
 OF_LOAD, OF_GEAR = ROW["load_friction", "ratio"], ROW["gear_load_friction", "ratio"]
 ONE_WAY, ONE_WAY_SLOPE = ROW["asymmetric_friction", "level"], ROW["asymmetric_friction", "coefficient"]
 DRAG, COUPLING = ROW["quadratic_drag", "coefficient"], ROW["coupling", "coefficient"]
-GAP, SOFT, SOFT_DAMPING = ROW["backlash", "gap"], ROW["compliance", "compliance"], ROW["compliance", "damping"]
+GAP, TOUCH = ROW["backlash", "gap"], ROW["backlash", "compliance"]
+SOFT, SOFT_DAMPING = ROW["compliance", "compliance"], ROW["compliance", "damping"]
 OFFSET, SCALE = ROW["encoder_offset", "angle"], ROW["encoder_scale", "factor"]
 COSINE, SINE = ROW["encoder_eccentricity", "cosine"], ROW["encoder_eccentricity", "sine"]
 COG_COSINE, COG_SINE, COG_ORDER = (ROW["cogging", name] for name in ("cosine", "sine", "order"))
@@ -42,14 +44,11 @@ STATES = 12
 filtered speed, lagged torque, mean square torque, last change of the motor's speed, torque of the motor, and the
 friction impulse of the last step."""
 
-STIFFEST = 2e-4
-"""Compliance of a transmission that has backlash only [rad/(N m)], as in `mimic.dynamics.law`."""
-
 LEAST = 0.05
 """Least share of the torque constant, and of the supply, that is left."""
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def reads(p, j, angle):  # type: ignore[no-untyped-def]
     """Return what the encoder of a joint reads where its motor is at an angle."""
     read = angle
@@ -58,7 +57,7 @@ def reads(p, j, angle):  # type: ignore[no-untyped-def]
     return read * p[SCALE, j] + p[OFFSET, j]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def unread(p, j, reading):  # type: ignore[no-untyped-def]
     """Return the angle at which the encoder reads this."""
     turned = (reading - p[OFFSET, j]) / p[SCALE, j]
@@ -68,20 +67,20 @@ def unread(p, j, reading):  # type: ignore[no-untyped-def]
     return angle
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def elastic(p, j):  # type: ignore[no-untyped-def]
     """Return whether something gives between motor and link."""
     return p[SOFT, j] > 0.0 or p[GAP, j] > 0.0
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def slowed(state, wanted, time, h):  # type: ignore[no-untyped-def]
     """Return a first-order lag's state after a step, and its mean during the step."""
     left = np.exp(-h / time)
     return wanted + (state - wanted) * left, wanted + (state - wanted) * (1.0 - left) * time / h
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def limits(p, j, speed, supply):  # type: ignore[no-untyped-def]
     """Return the least and greatest torque of a motor at a speed, with a share of the supply."""
     most, none = p[TORQUE, j] * supply, p[SPEED, j] * supply
@@ -90,7 +89,7 @@ def limits(p, j, speed, supply):  # type: ignore[no-untyped-def]
     return -min(max((none + speed) * slope, 0.0), most), high
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):  # type: ignore[no-untyped-def]
     """Return the mean torque of a motor over a step, its mean size, and the damping that is implicit in it.
 
@@ -150,7 +149,7 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
     return mean, size, kept
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def friction(p, s, j, size, needed):  # type: ignore[no-untyped-def]
     """Return the dry friction of a joint against forward and against backward motion."""
     level = p[COULOMB, j] + p[OF_LOAD, j] * size
@@ -161,7 +160,7 @@ def friction(p, s, j, size, needed):  # type: ignore[no-untyped-def]
     return max(level + p[ONE_WAY, j], 0.0), max(level - p[ONE_WAY, j], 0.0)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def resisting(p, s, j, neighbour):  # type: ignore[no-untyped-def]
     """Return the torque on a motor's shaft that depends on its speed, beside viscous friction."""
     torque, middle = 0.0, s[VM, j] + 0.5 * s[CHANGE, j]
@@ -174,7 +173,7 @@ def resisting(p, s, j, neighbour):  # type: ignore[no-untyped-def]
     return torque
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def placed(p, s, j):  # type: ignore[no-untyped-def]
     """Return the torques on a motor's shaft and on a link that depend on where they are."""
     on_motor = 0.0
@@ -184,7 +183,7 @@ def placed(p, s, j):  # type: ignore[no-untyped-def]
     return on_motor, p[MOMENT, j] - p[SPRING, j] * s[Q, j]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def gear(p, s, j, h):  # type: ignore[no-untyped-def]
     """Return the torque of a transmission on its link, and the share of it that is implicit in their speeds.
 
@@ -194,7 +193,7 @@ def gear(p, s, j, h):  # type: ignore[no-untyped-def]
     over = apart - min(max(apart, -half), half)
     if over == 0.0 and half > 0.0:
         return 0.0, 0.0
-    stiffness = 1.0 / max(p[SOFT, j], STIFFEST)
+    stiffness = 1.0 / (p[SOFT, j] if p[SOFT, j] > 0.0 else p[TOUCH, j])
     damping = 2.0 * p[SOFT_DAMPING, j] * np.sqrt(stiffness * max(p[ROTOR, j], 1e-5))
     against = s[VM, j] - s[V, j]
     implicit = 0.25 * stiffness * h + 0.5 * damping

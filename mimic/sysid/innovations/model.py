@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE, scale_of
-from mimic.dynamics.catalogue.kinds import Parameter
+from mimic.dynamics.catalogue.kinds import MODEL, Parameter
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.innovations.data import Data
@@ -18,8 +18,11 @@ from mimic.sysid.innovations.likelihood import DECAY, Gains, misfit, scales, wei
 from mimic.sysid.innovations.predictor import arrays_of, predict
 from mimic.sysid.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
 
-STEP = 1.25e-3
-"""Longest step of a pass [s]: a clean log replays at its noise, .31 mrad; at 2.5 ms .32 (design notes)."""
+STEP = 2.5e-3
+"""Longest step of a pass [s]: a clean log replays at .32 mrad, at .31 with half of it, its noise (design notes)."""
+
+COARSE = 5e-3
+"""The same for derivatives, which differ by little where nothing has thresholds or states of its own [s]."""
 
 PART = 0.1
 """Change of a number for a derivative, in differences that matter."""
@@ -81,6 +84,8 @@ class Setting:
     gains: Gains
     scale: dict[str, FloatArray]
     """How large position, speed, acceleration and torque are in each joint: root mean squares (J,)."""
+    peak: dict[str, FloatArray]
+    """Largest torque and speed in each joint, by their units (J,)."""
     blank: FloatArray
     """The table of numbers without any effect (S, J)."""
 
@@ -88,6 +93,16 @@ class Setting:
     def data(self) -> Data:
         """The logs."""
         return self.passes.data
+
+    def width(self, key: Key, j: int) -> tuple[float, float]:
+        """Return how far from where a number is plausible, in what is fitted, and where; inf where anything is."""
+        p = CATALOGUE[key[0]].parameter(key[1])
+        centre = to_fit(p, float(self.blank[ROW[key], max(j, 0)]))
+        if relative(p):
+            return float(np.log(10.0)), centre
+        if p.inverse or (CATALOGUE[key[0]].structural and p.neutral == MODEL):
+            return np.inf, centre
+        return p.spread * p.step * self.size(p.unit, j), centre
 
     def size(self, unit: str, j: int) -> float:
         """Return how large a number of this unit is in a joint."""
@@ -195,11 +210,13 @@ class Model:
             shift[k] = by if x[k] + by <= high else -by
         colours = _colours(self.free, np.asarray(data.machine.chain))
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
-        moved = self.setting.passes.run(tables, [gains] * len(tables))
+        stiff = any(CATALOGUE[name].structural for name, _ in self.effects)
+        step = STEP if stiff else COARSE
+        *moved, still = self.setting.passes.run([*tables, self.table], [gains] * (len(tables) + 1), step)
         columns = np.zeros((len(x), *self.e.shape))
         for k, f in enumerate(self.free):
             own = slice(None) if f.joint < 0 else np.asarray(data.machine.chain) == data.machine.chain[f.joint]
-            columns[k][:, own] = ((moved[colours[k]] - self.e) / shift[k])[:, own]
+            columns[k][:, own] = ((moved[colours[k]] - still) / shift[k])[:, own]
         return replace(self, columns=np.nan_to_num(columns))
 
     def normal(self, rows: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -215,6 +232,11 @@ class Model:
         weighed = c * w[used]
         return weighed @ c.T, -(weighed @ e[used])
 
+    def numbers(self) -> float:
+        """Return how many numbers the logs determine, beside what is plausible of them."""
+        hessian, prior = self.differentiated().normal()[0], self.plausibility(self.values())[0]
+        return float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), hessian)))
+
     def plausibility(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the same of what is plausible, at values (P,)."""
         width = np.array([f.width for f in self.free])
@@ -228,27 +250,36 @@ class Model:
             enough: Gain of the log density of a step after which to stop.
         """
         now = self if len(self.e) else self.evaluated()
-        damping = 1e-3
-        for _ in range(most):
-            now = now.differentiated()
-            x = now.values()
-            hessian, descent = (a + b for a, b in zip(now.normal(), now.plausibility(x), strict=True))
-            own = np.diag(hessian) + 1e-12
-            better = None
-            for _ in range(5):
-                step = np.linalg.solve(hessian + damping * np.diag(own), descent)
-                trial = replace(now, table=now.at(x + step)).evaluated()
-                if trial.cost < now.cost:
-                    better = trial
+        damping, fresh = 1e-3, now.columns is not None
+        for _ in range(2 * most):
+            if now.columns is None:
+                if most == 0:
                     break
-                damping *= 8.0
+                now, fresh, most = now.differentiated(), True, most - 1
+            better, damping = now._step(damping, 5 if fresh else 1)
+            if better is None and fresh:
+                break
             if better is None:
-                break
-            gained, now = now.cost - better.cost, better
-            damping = max(damping / 8.0, 1e-6)
-            if gained < enough:
-                break
-        return now
+                now = replace(now, columns=None)
+                continue
+            gained = now.cost - better.cost
+            if gained < enough and fresh:
+                return better
+            now = replace(better, columns=now.columns if fresh else None)
+            fresh = False
+        return replace(now, columns=None)
+
+    def _step(self, damping: float, most: int) -> tuple[Model | None, float]:
+        """Return a better model that a damped step leads to, if one does, and the damping of the next."""
+        x = self.values()
+        hessian, descent = (a + b for a, b in zip(self.normal(), self.plausibility(x), strict=True))
+        own = np.diag(np.diag(hessian) + 1e-12)
+        for _ in range(most):
+            trial = replace(self, table=self.at(x + np.linalg.solve(hessian + damping * own, descent))).evaluated()
+            if trial.cost < self.cost:
+                return trial, max(damping / 8.0, 1e-6)
+            damping *= 8.0
+        return None, damping
 
     def sized(self) -> tuple[Model, bool]:
         """Return the model with the likeliest unknown torque in each joint, and whether that is another one."""
@@ -338,8 +369,6 @@ def _colours(free: Sequence[Free], chain: IntArray) -> IntArray:
     return colours
 
 
-BASELINE_WIDTHS = {"com_shift": 0.02, "armature": 0.1}
-
 
 def blank_table(data: Data) -> FloatArray:
     """Return the table of numbers without any effect (S, J)."""
@@ -393,5 +422,6 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
         "acceleration": rms(faster),
         "torque": np.maximum(rms(needed) + dry, 1e-6),
     }
+    peak = {"N m": np.abs(needed).max(0) + dry, "rad/s": np.where(used, np.abs(speed), 0.0).max(0)}
     gains = Gains(data, inertia, blank[ROW["viscous", "coefficient"]], scale["torque"])
-    return Setting(passes=Passes(data, threads), gains=gains, scale=scale, blank=blank)
+    return Setting(passes=Passes(data, threads), gains=gains, scale=scale, peak=peak, blank=blank)

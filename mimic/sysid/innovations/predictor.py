@@ -51,6 +51,7 @@ from mimic.sysid.innovations.tree import (
     AT,
     BIAS,
     END,
+    FAST_MATH,
     MOVING,
     REST,
     ROOM,
@@ -112,7 +113,7 @@ class Record(NamedTuple):
     """(J,)"""
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def gravity_of(gravity, roll, pitch):  # type: ignore[no-untyped-def]
     """Return gravity in the axes of a base turned by roll about x, then pitch about y."""
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
@@ -124,7 +125,7 @@ def gravity_of(gravity, roll, pitch):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def inverted(a, m):  # type: ignore[no-untyped-def]
     """Invert the first m rows and columns of a symmetric positive matrix in place."""
     if m == 1:
@@ -151,7 +152,7 @@ def inverted(a, m):  # type: ignore[no-untyped-def]
         a[k, k] = pivot
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def braked(a, m, solve):  # type: ignore[no-untyped-def]
     """Let dry friction act on velocities for a step: impulses within bounds that stop what they can.
 
@@ -241,7 +242,7 @@ def arrays_of(tree: Tree, record: Record) -> Arrays:
     )
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def supply_left(p, s):  # type: ignore[no-untyped-def]
     """Return the share of the supply that is left while motors do the work of the last step."""
     if p[DROP, 0] == 0.0:
@@ -252,7 +253,7 @@ def supply_left(p, s):  # type: ignore[no-untyped-def]
     return max(1.0 - p[DROP, 0] * drawn, LEAST)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h):  # type: ignore[no-untyped-def]
     """Let all drives and outer torques act for step k of those that end at row i."""
     left = supply_left(p, s) * clock[i, SUPPLY]
@@ -281,7 +282,7 @@ def ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h):  # type: ig
         acts[DAMPING, j] = p[VISCOUS, j] + kept
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # type: ignore[no-untyped-def]
     """Write the masses (C, C), forces and friction of a chain with its rotors; return how many there are."""
     end = joints[begin, END]
@@ -320,7 +321,7 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
     return count
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no-untyped-def]
     """Bring the velocities of all joints and rotors to the end of a step."""
     n = s.shape[1]
@@ -348,7 +349,7 @@ def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no
         begin = end
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def begin_at(clock, inputs, sent, goal, p, s, at, i):  # type: ignore[no-untyped-def]
     """Let a pass begin at rest at the readings of a row."""
     s[:] = 0.0
@@ -365,7 +366,7 @@ def begin_at(clock, inputs, sent, goal, p, s, at, i):  # type: ignore[no-untyped
         s[GOAL, j] = goal[aim, j]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def correct(p, s, inputs, gains, out, i, log, settled):  # type: ignore[no-untyped-def]
     """Write what is predicted of a row, and correct the state by what was read."""
     for j in range(s.shape[1]):
@@ -380,7 +381,7 @@ def correct(p, s, inputs, gains, out, i, log, settled):  # type: ignore[no-untyp
             s[W, j] += gains[log, settled, j, 2] * off
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def half(p, s, room, h):  # type: ignore[no-untyped-def]
     """Bring positions half of a step on; return whether the machine holds together."""
     whole = True
@@ -393,7 +394,7 @@ def half(p, s, room, h):  # type: ignore[no-untyped-def]
     return whole
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True)
 def predict(  # type: ignore[no-untyped-def]
     joints, shape, clock, inputs, marks, sent, goal, motors, payload, own, gravity, p, gains, decay, step, out
 ):

@@ -16,6 +16,10 @@ from mimic.dynamics.machine import MachineModel
 from mimic.records import BoolArray, FloatArray, IntArray
 
 
+FAST_MATH = {"contract", "reassoc", "arcp", "nsz"}
+"""What compiled code may do to sums and products; it keeps what is not a number."""
+
+
 class Tree(NamedTuple):
     """A machine in the frames of its joints: origin on the axis, z along it. Arrays begin with the joints (J,)."""
 
@@ -153,13 +157,13 @@ def packed(tree: Tree) -> tuple[IntArray, FloatArray]:
     return whole, np.ascontiguousarray(np.concatenate([turned, tree.offset, rest], axis=1))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def cross(a, b, c, x, y, z):  # type: ignore[no-untyped-def]
     """Return the cross product of two vectors given by their components."""
     return b * z - c * y, c * x - a * z, a * y - b * x
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def place(joints, shape, room):  # type: ignore[no-untyped-def]
     """Write axes, origins and unit motions of all joints at their positions."""
     for i in range(len(joints)):
@@ -196,7 +200,7 @@ def place(joints, shape, room):  # type: ignore[no-untyped-def]
             room[i, SCREW + 3], room[i, SCREW + 4], room[i, SCREW + 5] = u, v, w
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def weigh(links, room):  # type: ignore[no-untyped-def]
     """Write each link's numbers about the world's origin in world axes, from those in its own frame (J, 10)."""
     for i in range(len(links)):
@@ -226,7 +230,7 @@ def weigh(links, room):  # type: ignore[no-untyped-def]
         room[i, BODY + 2], room[i, BODY + 3] = hy + m * py, hz + m * pz
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def momentum(room, i, s):  # type: ignore[no-untyped-def]
     """Return angular and linear momentum about the origin of a joint's body at the spatial velocity in column s."""
     b, a = BODY, s
@@ -246,7 +250,7 @@ def momentum(room, i, s):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
     """Write the spatial force that each link needs at the velocities, without acceleration of the joints."""
     for i in range(len(joints)):
@@ -280,7 +284,7 @@ def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
         room[i, FORCE + 3], room[i, FORCE + 4], room[i, FORCE + 5] = f3 + x, f4 + y, f5 + z
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def gather(joints, room, mass):  # type: ignore[no-untyped-def]
     """Write mass matrix (J, J) and bias forces, from the last joint to the base; bodies become composite ones."""
     for i in range(len(joints) - 1, -1, -1):
@@ -304,7 +308,7 @@ def gather(joints, room, mass):  # type: ignore[no-untyped-def]
             j = joints[j, PARENT]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
 def dynamics(joints, shape, links, gravity, room, mass):  # type: ignore[no-untyped-def]
     """Write mass matrix and bias forces (gravity, Coriolis, centrifugal) at the positions and velocities in the room.
 
