@@ -18,11 +18,11 @@ from mimic.sysid.innovations.likelihood import DECAY, Gains, misfit, scales, wei
 from mimic.sysid.innovations.predictor import arrays_of, predict
 from mimic.sysid.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
 
-STEP = 2.5e-3
-"""Longest step of a pass [s]: a clean log replays at .32 mrad, at .31 with half of it, its noise (design notes)."""
+STEP = 1.25e-3
+"""Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
 
-COARSE = 5e-3
-"""The same for derivatives, which differ by little where nothing has thresholds or states of its own [s]."""
+COARSE = 2.0 * STEP, 4.0 * STEP
+"""The same for derivatives: with effects that have thresholds or states of their own, and without [s]."""
 
 PART = 0.1
 """Change of a number for a derivative, in differences that matter."""
@@ -45,6 +45,8 @@ class Free:
     """Standard deviation of what is plausible about the model's value, in what is fitted; inf without."""
     centre: float = 0.0
     """The model's value, in what is fitted."""
+    within: float = np.inf
+    """Most by which it may differ from that."""
 
 
 class Passes:
@@ -172,6 +174,7 @@ class Model:
         table = self.table.copy()
         for f, value in zip(self.free, x, strict=True):
             where = slice(None) if f.joint < 0 else f.joint
+            value = np.clip(value, f.centre - f.within, f.centre + f.within)
             table[ROW[f.key], where] = from_fit(_parameter(f), float(value))
         return table
 
@@ -207,11 +210,11 @@ class Model:
         for k, f in enumerate(self.free):
             by = PART * self.setting.difference(f.key, f.joint)
             low, high = _bounds(_parameter(f))
-            shift[k] = by if x[k] + by <= high else -by
+            shift[k] = by if x[k] + by <= min(high, f.centre + f.within) else -by
         colours = _colours(self.free, np.asarray(data.machine.chain))
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
         stiff = any(CATALOGUE[name].structural for name, _ in self.effects)
-        step = STEP if stiff else COARSE
+        step = COARSE[0] if stiff else COARSE[1]
         *moved, still = self.setting.passes.run([*tables, self.table], [gains] * (len(tables) + 1), step)
         columns = np.zeros((len(x), *self.e.shape))
         for k, f in enumerate(self.free):
@@ -326,23 +329,26 @@ class Model:
         """Return the model fitted as a plain replay, without any correction after its start."""
         return replace(self, unknown=np.zeros(self.data.joints), columns=None).evaluated().fitted(most)
 
-    def held_out(self) -> FloatArray:
-        """Return the log density of each block (B,) after one step of Gauss and Newton without its fold."""
+    def left_out(self) -> FloatArray:
+        """Return the innovations (T, J) after one step of Gauss and Newton, for each fold, without it."""
         now = self.differentiated()
         assert now.columns is not None
-        data, x = self.data, self.values()
-        out = np.zeros(len(data.fold))
+        data = self.data
         total, down = now.normal()
-        prior = now.plausibility(x)
-        small = 1e-6 * np.diag(np.diag(total)) + 1e-12 * np.eye(len(x))
+        prior = now.plausibility(self.values())
+        small = 1e-6 * np.diag(np.diag(total)) + 1e-12 * np.eye(len(down))
+        e = now.e.copy()
         for k in range(data.fold.max() + 1):
-            left = (data.fold == k)[data.block]
-            hessian, descent = now.normal(left)
+            rows = (data.fold == k)[data.block]
+            hessian, descent = now.normal(rows)
             step = np.linalg.solve(total - hessian + prior[0] + small, down - descent + prior[1])
-            e = now.e + np.einsum("p,ptj->tj", step, now.columns)
-            lost = misfit(e, now.scale, data).sum(axis=1)
-            out -= np.where(data.fold == k, np.bincount(data.block, lost, len(out)), 0.0)
-        return out
+            e[rows] += np.einsum("p,ptj->tj", step, now.columns[:, rows])
+        return e
+
+    def held_out(self) -> FloatArray:
+        """Return the log density of each block (B,) under a fit without its fold."""
+        lost = misfit(self.left_out(), self.scale, self.data).sum(axis=1)
+        return -np.bincount(self.data.block, lost, len(self.data.fold))
 
 
 def _parameter(f: Free) -> Parameter:

@@ -18,7 +18,7 @@ from mimic.dynamics.law import OF_DRIVES
 from mimic.records import FloatArray
 from mimic.sysid.innovations.laws import ROW
 from mimic.sysid.innovations.likelihood import weights
-from mimic.sysid.innovations.model import Free, Model, Setting, from_fit, to_fit
+from mimic.sysid.innovations.model import COARSE, STEP, Free, Model, Setting, from_fit, to_fit
 
 PLACES = 4
 """Most places at which a number that has many is tried, from the first to the last."""
@@ -140,17 +140,27 @@ class Screen:
         """Return what each effect would gain in each joint alone and in all together, best first."""
         jobs = [job for name in names for job in self._jobs(name)]
         gains = self.model.setting.gains.of(self.model.unknown)
-        tables = [table for job in jobs for table in job[3]]
-        made = iter(self.model.setting.passes.run(tables, [gains] * len(tables)))
+        made = iter(self._run(jobs, gains))
         best: dict[str, dict[int, tuple[float, Place]]] = {}
         for name, joints, places, own in jobs:
-            changes = [next(made) - self.model.e for _ in own]
+            changes = [next(made) for _ in own]
             for j in joints:
                 found = self._judged(name, j, places[j], changes)
                 if found is not None and found[0] > best.setdefault(name, {}).get(j, (0.0,))[0]:
                     best[name][j] = found
         out = [self._together(name, group, own) for name, own in best.items() for group in _groups(name, own, self)]
         return sorted((f for f in out if f.gain > 0.0), key=lambda f: -f.gain)
+
+    def _run(self, jobs: Sequence[tuple], gains: FloatArray) -> list[FloatArray]:  # type: ignore[type-arg]
+        """Return what each table of each job does to the innovations: in short steps where there are thresholds."""
+        out: list[FloatArray] = []
+        run = self.model.setting.passes.run
+        (still,) = run([self.model.table], [gains], COARSE[0])
+        for name, _, _, tables in jobs:
+            fine = CATALOGUE[name].structural
+            made = run(tables, [gains] * len(tables), STEP if fine else COARSE[0])
+            out += [e - (self.model.e if fine else still) for e in made]
+        return out
 
     def _jobs(self, name: str) -> list[tuple]:  # type: ignore[type-arg]
         """Return for each place of an effect the joints that share a pass, their values, and the tables to pass."""

@@ -20,6 +20,9 @@ from mimic.sysid.innovations.laws import ROW
 from mimic.sysid.innovations.model import Free, Model, Setting, relative, setting_of
 from mimic.sysid.innovations.screen import Found, Screen, applicable, wanted, with_effect
 
+FARTHEST = 3.0
+"""Standard deviations of a drawing's tolerance beyond which a number is no error of the drawing."""
+
 PRICE = 8.0
 """Nats of held-out log density that a number must gain: more than BIC's half log of 14,400 readings, 4.8."""
 
@@ -85,7 +88,7 @@ class Outcome:
     ties: tuple[tuple[str, float], ...]
     """Other explanations that the logs do not tell from it, and by how much they are worse [nats]."""
     before: FloatArray
-    """Plain replay of the baseline: root mean square of each joint (J,)."""
+    """Plain replay of the baseline, each fold fitted without it: root mean square of each joint (J,)."""
     after: FloatArray
     """Of what was found (J,)."""
     noise: FloatArray
@@ -127,7 +130,11 @@ def _within(setting: Setting, key: tuple[str, str], tolerance: float) -> list[Fr
     length = np.linalg.norm(setting.data.tree.tip, axis=1)
     own = setting.blank[ROW[key]]
     of = length if CATALOGUE[key[0]].parameter(key[1]).unit == "m" else own
-    return [Free(key, j, tolerance * float(of[j]), float(own[j])) for j in range(len(own)) if of[j] > 0.0]
+    return [
+        Free(key, j, tolerance * float(of[j]), float(own[j]), FARTHEST * tolerance * float(of[j]))
+        for j in range(len(own))
+        if of[j] > 0.0
+    ]
 
 
 def scored(model: Model) -> Scored:
@@ -151,9 +158,9 @@ def _pruned(model: Model) -> Model:
     return model if len(kept) == len(model.free) else replace(model, free=tuple(kept), columns=None)
 
 
-def spread(model: Model) -> FloatArray:
-    """Return the root mean square of innovations in each joint (J,)."""
-    e = np.where(model.data.counts, np.nan_to_num(model.e), 0.0)
+def spread(model: Model, e: FloatArray | None = None) -> FloatArray:
+    """Return the root mean square in each joint (J,) of innovations (T, J), by default the model's."""
+    e = np.where(model.data.counts, np.nan_to_num(model.e if e is None else e), 0.0)
     return np.sqrt((e**2).sum(0) / np.maximum(model.data.counts.sum(0), 1))
 
 
@@ -198,7 +205,8 @@ def search(
         best, others = first, found[1:]
     best, dropped = backwards(best, null, say)
     ties = [(describe(o.model), best.score - o.score) for o in [*others, *dropped] if best.score - o.score < TIED]
-    before, after = spread(null.model.without_unknown()), spread(best.model.without_unknown())
+    plain = [one.model.without_unknown().differentiated() for one in (null, best)]
+    before, after = (spread(one, one.left_out()) for one in plain)
     noise = noise_of(best.model)
     left = float((np.maximum(after**2 - noise**2, 0.0) / noise**2).sum())
     first = float((np.maximum(before**2 - noise**2, 0.0) / noise**2).sum())
@@ -220,11 +228,11 @@ def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
     best: Scored | None = None
     for times in data.sending:
         setting = setting_of(data.sent_at(times), threads)
-        model = baseline(setting, names).settled(4, 6)
+        model = baseline(setting, names).settled(1, 4)
         if best is None or model.cost < best.model.cost - LEAST:
             best = Scored(model=model, blocks=np.zeros(0), score=0.0)
     assert best is not None
-    return scored(best.model.elsewhere())
+    return scored(best.model.settled(3, 6).elsewhere())
 
 
 def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
@@ -235,9 +243,12 @@ def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
     ranked = Screen(model, unknown).run(effects)
     made: list[Scored] = []
     tried: dict[str, int] = {}
+    most = 0.0
     for one in sorted(ranked, key=lambda f: PRICE * f.numbers - f.gain):
-        if len(made) >= WIDTH or one.gain - PRICE * one.numbers < 6.0:
+        paid = one.gain - PRICE * one.numbers
+        if len(made) >= WIDTH or paid < max(LEAST, HOPELESS * most):
             break
+        most = max(most, paid)
         if tried.get(one.name, 0) >= SETS:
             continue
         tried[one.name] = tried.get(one.name, 0) + 1
