@@ -187,7 +187,8 @@ def placed(p, s, j):  # type: ignore[no-untyped-def]
 def gear(p, s, j, h):  # type: ignore[no-untyped-def]
     """Return the torque of a transmission on its link, and the share of it that is implicit in their speeds.
 
-    Implicit midpoint rule: the twist in the middle of the step is (old + new) / 2, so that stiff gears are stable.
+    Implicit midpoint rule: the twist in the middle of the step is (old + new) / 2, so that stiff gears are stable; with
+    backlash the twist at its end, so that a contact that is noticed late gives nothing away.
     """
     apart, half = s[QM, j] - s[Q, j], 0.5 * p[GAP, j]
     over = apart - min(max(apart, -half), half)
@@ -196,5 +197,6 @@ def gear(p, s, j, h):  # type: ignore[no-untyped-def]
     stiffness = 1.0 / (p[SOFT, j] if p[SOFT, j] > 0.0 else p[TOUCH, j])
     damping = 2.0 * p[SOFT_DAMPING, j] * np.sqrt(stiffness * max(p[ROTOR, j], 1e-5))
     against = s[VM, j] - s[V, j]
-    implicit = 0.25 * stiffness * h + 0.5 * damping
-    return stiffness * (over - 0.25 * h * against) + 0.5 * damping * against, implicit
+    if half > 0.0:
+        return stiffness * over + 0.5 * damping * against, 0.5 * (stiffness * h + damping)
+    return stiffness * (over - 0.25 * h * against) + 0.5 * damping * against, 0.25 * stiffness * h + 0.5 * damping

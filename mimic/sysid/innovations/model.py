@@ -21,11 +21,11 @@ from mimic.sysid.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links
 STEP = 1.25e-3
 """Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
 
-COARSE = 2.0 * STEP, 4.0 * STEP
+COARSE = STEP, 4.0 * STEP
 """The same for derivatives: with effects that have thresholds or states of their own, and without [s]."""
 
-PART = 0.1
-"""Change of a number for a derivative, in differences that matter."""
+PART = 0.5, 0.1
+"""Change of a number for a derivative, in differences that matter: of an effect with a threshold, and of others."""
 
 LEVELS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 0.6, 0.35)])
 """Sizes of the unknown torque that are tried, as shares of the torque of a joint: factors of 2.2."""
@@ -208,7 +208,8 @@ class Model:
         gains = self.setting.gains.of(self.unknown)
         shift = np.zeros(len(x))
         for k, f in enumerate(self.free):
-            by = PART * self.setting.difference(f.key, f.joint)
+            rough = CATALOGUE[f.key[0]].structural
+            by = PART[0 if rough else 1] * self.setting.difference(f.key, f.joint)
             low, high = _bounds(_parameter(f))
             shift[k] = by if x[k] + by <= min(high, f.centre + f.within) else -by
         colours = _colours(self.free, np.asarray(data.machine.chain))

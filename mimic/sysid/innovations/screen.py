@@ -18,7 +18,7 @@ from mimic.dynamics.law import OF_DRIVES
 from mimic.records import FloatArray
 from mimic.sysid.innovations.laws import ROW
 from mimic.sysid.innovations.likelihood import weights
-from mimic.sysid.innovations.model import COARSE, STEP, Free, Model, Setting, from_fit, to_fit
+from mimic.sysid.innovations.model import STEP, Free, Model, Setting, from_fit, to_fit
 
 PLACES = 4
 """Most places at which a number that has many is tried, from the first to the last."""
@@ -56,6 +56,8 @@ class Found:
     joints: tuple[int, ...]
     values: tuple[Mapping[str, float], ...]
     """Numbers in each of them."""
+    tried: tuple[Mapping[str, float], ...]
+    """Where they were tried."""
     gain: float
     """Of the log density."""
     numbers: int
@@ -155,10 +157,10 @@ class Screen:
         """Return what each table of each job does to the innovations: in short steps where there are thresholds."""
         out: list[FloatArray] = []
         run = self.model.setting.passes.run
-        (still,) = run([self.model.table], [gains], COARSE[0])
+        (still,) = run([self.model.table], [gains], 2.0 * STEP)
         for name, _, _, tables in jobs:
             fine = CATALOGUE[name].structural
-            made = run(tables, [gains] * len(tables), STEP if fine else COARSE[0])
+            made = run(tables, [gains] * len(tables), STEP if fine else 2.0 * STEP)
             out += [e - (self.model.e if fine else still) for e in made]
         return out
 
@@ -244,7 +246,7 @@ class Screen:
     def _together(self, name: str, group: tuple[int, ...], own: Mapping[int, tuple[float, Place]]) -> Found:
         places = [own[j][1] for j in group]
         steps, gain = self._step(np.concatenate([p.columns for p in places]))
-        values, at = [], 0
+        values, at = list[Mapping[str, float]](), 0
         for j, place in zip(group, places, strict=True):
             made = dict(place.values)
             for moved in place.moved:
@@ -253,7 +255,12 @@ class Screen:
                 at += 1
             values.append(made)
         return Found(
-            name=name, joints=group, values=tuple(values), gain=gain, numbers=len(wanted(name)) * len(group)
+            name=name,
+            joints=group,
+            values=tuple(values),
+            tried=tuple(p.values for p in places),
+            gain=gain,
+            numbers=len(wanted(name)) * len(group),
         )
 
     def _scaled(self, name: str, parameter: str, j: int, value: float, by: float) -> float:
@@ -280,14 +287,17 @@ def _groups(name: str, own: Mapping[int, tuple[float, Place]], screen: Screen) -
 
 
 def with_effect(model: Model, found: Found) -> Model:
-    """Return a model with an effect at the numbers of a screen or nearer to none, not yet fitted: the best of those."""
-    tried = [_at(model, found, share).evaluated() for share in NEARER]
+    """Return a model with an effect, not yet fitted: where it was tried, at the numbers of a screen or nearer to none,
+    whichever is best.
+    """
+    starts = [(found.values, share) for share in NEARER] + [(found.tried, 1.0)]
+    tried = [_at(model, found, values, share).evaluated() for values, share in starts]
     return min(tried, key=lambda m: m.cost)
 
 
-def _at(model: Model, found: Found, share: float) -> Model:
+def _at(model: Model, found: Found, numbers: Sequence[Mapping[str, float]], share: float) -> Model:
     table, keys = model.table.copy(), []
-    for j, values in zip(found.joints, found.values, strict=True):
+    for j, values in zip(found.joints, numbers, strict=True):
         where = slice(None) if j < 0 else j
         for parameter, value in values.items():
             p, row = CATALOGUE[found.name].parameter(parameter), ROW[found.name, parameter]
