@@ -102,7 +102,9 @@ def cases(data: Path, sets: tuple[str, ...]) -> Iterator[Case]:
             yield _real("XL330", logs, _machine(XL330_MJCF), OF_VOLTAGE_DRIVES)
         elif name == "go2":
             machine = read_machine(data / "go2_air_chirp" / "go2_hung.xml")
-            for half, log in zip(("first", "second"), divided(go2_log(data / "go2_air_chirp" / "log.parquet")), strict=True):
+            for half, log in zip(
+                ("first", "second"), divided(go2_log(data / "go2_air_chirp" / "log.parquet")), strict=True
+            ):
                 yield _real(f"Go2 {half} half", [log], machine, usual)
 
 

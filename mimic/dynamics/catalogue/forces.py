@@ -10,7 +10,9 @@ FORCES = (
         parameters=(
             Parameter("cosine", "N m", low=-20.0, high=20.0, step=0.01),
             Parameter("sine", "N m", low=-20.0, high=20.0, step=0.01),
-            Parameter("order", "1/rad", neutral=20.0, low=2.0, high=400.0, step=0.02, shape=True, spread=50, spectral=True),
+            Parameter(
+                "order", "1/rad", neutral=20.0, low=2.0, high=400.0, step=0.02, shape=True, spread=50, spectral=True
+            ),
         ),
         signature="a peak in the spectrum over position",
         experiment="slow ramps over the whole range",

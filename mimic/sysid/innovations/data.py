@@ -177,7 +177,7 @@ def _blocks(t: FloatArray, which: IntArray) -> IntArray:
 
 
 def _folds(record: Record, block: IntArray) -> tuple[IntArray, str]:
-    """Return the fold of each block and what is left out at once: whole gains, loads or logs where there are several."""
+    """Return the fold of each block and what is left out at once: gains, loads or logs where there are several."""
     log = record.log[np.searchsorted(block, np.arange(block[-1] + 1))]
     for name, rows in (("gains", record.kp), ("loads", record.payload)):
         kinds = np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)

@@ -67,9 +67,7 @@ class Gains:
         self._known: dict[tuple[int, int, float], FloatArray] = {}
         record = data.record
         steps = np.diff(record.t)
-        self._steps = [
-            float(np.median(steps[(record.log[1:] == k) & ~record.fresh[1:]])) for k in range(data.logs)
-        ]
+        self._steps = [float(np.median(steps[(record.log[1:] == k) & ~record.fresh[1:]])) for k in range(data.logs)]
 
     def of(self, unknown: FloatArray) -> FloatArray:
         """Return the gains (L, 2, J, 3) at these sizes of the unknown torque (J,) [N m]; none where it is 0."""

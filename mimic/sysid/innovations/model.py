@@ -17,6 +17,7 @@ from mimic.sysid.innovations.laws import KEYS, ROW
 from mimic.sysid.innovations.likelihood import DECAY, Gains, misfit, scales, weights
 from mimic.sysid.innovations.predictor import arrays_of, predict
 from mimic.sysid.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
+from mimic.sysid.log.noise import SMOOTH
 
 STEP = 1.25e-3
 """Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
@@ -210,7 +211,7 @@ class Model:
         for k, f in enumerate(self.free):
             rough = CATALOGUE[f.key[0]].structural
             by = PART[0 if rough else 1] * self.setting.difference(f.key, f.joint)
-            low, high = _bounds(_parameter(f))
+            high = _bounds(_parameter(f))[1]
             shift[k] = by if x[k] + by <= min(high, f.centre + f.within) else -by
         colours = _colours(self.free, np.asarray(data.machine.chain))
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
@@ -376,7 +377,6 @@ def _colours(free: Sequence[Free], chain: IntArray) -> IntArray:
     return colours
 
 
-
 def blank_table(data: Data) -> FloatArray:
     """Return the table of numbers without any effect (S, J)."""
     table = np.zeros((len(KEYS), data.joints))
@@ -394,7 +394,7 @@ def blank_table(data: Data) -> FloatArray:
 def setting_of(data: Data, threads: int = 1) -> Setting:
     """Return what all models of a search share, from what a pass with strong corrections says of the motion."""
     blank, n = blank_table(data), data.joints
-    record, machine = data.record, data.machine
+    record = data.record
     q = np.nan_to_num(record.y, nan=0.0)
     known = np.isfinite(record.y)
     dt = np.gradient(record.t)
@@ -407,7 +407,7 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     dynamics(joints, shape, links, tree.gravity, room, mass)
     rotor = blank[ROW["armature", "inertia"]]
     inertia = np.diag(mass) + rotor
-    width = max(int(round(0.03 / float(np.median(dt)))), 1)
+    width = max(round(SMOOTH / float(np.median(dt))), 1)
     kernel = np.ones(width) / width
     calm = np.stack([np.convolve(c, kernel, mode="same") for c in smooth.T], -1)
     speed = np.gradient(calm, record.t, axis=0)

@@ -30,7 +30,6 @@ from mimic.sysid.innovations.laws import (
     ROLL,
     ROTOR,
     SHIFT,
-    SLOW,
     STATES,
     TAU,
     VISCOUS,
@@ -275,7 +274,9 @@ def ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h):  # type: ig
             more = p[KT, j] / motors[j, OWN_KT] * motors[j, OWN_OHM] / p[OHM, j]
             kp, kd = kp * more, kd * more * p[KT, j] / motors[j, OWN_KT]
         since = clock[i - 1, SINCE] + k * h
-        torque, size, kept = drive(p, s, j, h, since, first, second, share, kp, kd, inputs[i - 1, j, ADDED], left, volts)
+        torque, size, kept = drive(
+            p, s, j, h, since, first, second, share, kp, kd, inputs[i - 1, j, ADDED], left, volts
+        )
         on_motor, on_link = placed(p, s, j)
         torque += on_motor + resisting(p, s, j, int(motors[j, NEIGHBOUR])) - p[VISCOUS, j] * s[VM, j] + s[W, j]
         acts[TORQUE, j], acts[ON_LINK, j], acts[SIZE, j] = torque, on_link, size

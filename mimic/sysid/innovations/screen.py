@@ -176,9 +176,7 @@ class Screen:
             rounds = [[j for j in free if place[j] == k] for k in sorted({int(place[j]) for j in free})]
         jobs = []
         for joints in rounds:
-            axes = {
-                j: [starts_of(p, name, setting, j, self._peaks[max(j, 0)]) for p in wanted(name)] for j in joints
-            }
+            axes = {j: [starts_of(p, name, setting, j, self._peaks[max(j, 0)]) for p in wanted(name)] for j in joints}
             grids = {j: list(itertools.product(*a)) for j, a in axes.items()}
             for k in range(max(len(g) for g in grids.values())):
                 here = [j for j in joints if k < len(grids[j])]
@@ -232,7 +230,7 @@ class Screen:
         """Return whether numbers have only one side of the model's value."""
         for p in wanted(name):
             value = float(self.model.setting.blank[ROW[name, p.name]].flat[0])
-            if p.name in moved and (value in (p.low, p.high) or p.neutral == MODEL and CATALOGUE[name].structural):
+            if p.name in moved and (value in (p.low, p.high) or (p.neutral == MODEL and CATALOGUE[name].structural)):
                 return True
         return False
 

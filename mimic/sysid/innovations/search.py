@@ -17,7 +17,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.records import FloatArray
 from mimic.sysid.innovations.data import Data
 from mimic.sysid.innovations.laws import ROW
-from mimic.sysid.innovations.model import Free, Model, Setting, relative, setting_of
+from mimic.sysid.innovations.model import Free, Model, Setting, setting_of
 from mimic.sysid.innovations.screen import Found, Screen, applicable, wanted, with_effect
 
 FARTHEST = 3.0
@@ -191,7 +191,7 @@ def search(
     null = _baseline(data, names, threads)
     effects = tuple(effects) or applicable(null.model.setting, names)
     best, others = null, list[Scored]()
-    for stage in range(STAGES):
+    for _ in range(STAGES):
         plain = spread(best.model.without_unknown()) / noise_of(best.model)
         say(_line(best, null, plain))
         if plain.max() < NOISY:
@@ -320,17 +320,13 @@ def without(model: Model, null: Model, name: str, joints: tuple[int, ...]) -> Mo
         left = tuple(j for j in own if n != name or j not in joints)
         if left:
             effects.append((n, left))
-    return replace(
-        model, table=table, free=tuple(kept), effects=tuple(effects), columns=None, e=np.zeros((0, 0))
-    )
+    return replace(model, table=table, free=tuple(kept), effects=tuple(effects), columns=None, e=np.zeros((0, 0)))
 
 
 def describe(model: Model) -> str:
     """Return the effects of a model in words."""
     joints = model.data.machine.joints
-    said = [
-        name + ("" if own == (-1,) else f" ({', '.join(joints[j] for j in own)})") for name, own in model.effects
-    ]
+    said = [name + ("" if own == (-1,) else f" ({', '.join(joints[j] for j in own)})") for name, own in model.effects]
     return " + ".join(said) or "nothing"
 
 

@@ -15,7 +15,6 @@ from numba import njit
 from mimic.dynamics.machine import MachineModel
 from mimic.records import BoolArray, FloatArray, IntArray
 
-
 FAST_MATH = {"contract", "reassoc", "arcp", "nsz"}
 """What compiled code may do to sums and products; it keeps what is not a number."""
 
