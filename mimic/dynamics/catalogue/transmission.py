@@ -15,8 +15,7 @@ TRANSMISSION = (
     Effect(
         name="backlash",
         title="backlash",
-        equation="motor and link move freely against each other within gap, and give by compliance where they touch; "
-        "the encoder is on the motor",
+        equation="motor and link move freely within gap, then give by compliance; the encoder is on the motor",
         parameters=(
             Parameter("gap", "rad", low=0.0, high=0.3, step=0.004, starts=GAPS, spread=100),
             Parameter(

@@ -54,5 +54,7 @@ def test_a_load_at_the_tip_is_a_point_of_that_mass(tmp_path):
     )
     added = (loaded - bare)[-1]
     tip = tree.tip[-1]
-    np.testing.assert_allclose(added[:4], 0.2 * np.array([1.0, *tip]))
-    np.testing.assert_allclose(added[4:], 0.2 * (tip @ tip * np.eye(3) - np.outer(tip, tip))[np.triu_indices(3)])
+    np.testing.assert_allclose(added[:4], 0.2 * np.array([1.0, *tip]), atol=1e-12)
+    np.testing.assert_allclose(
+        added[4:], 0.2 * (tip @ tip * np.eye(3) - np.outer(tip, tip))[np.triu_indices(3)], atol=1e-12
+    )
