@@ -26,9 +26,6 @@ from mimic.dynamics.catalogue import effect
 Parameters = Mapping[tuple[str, str], Any]
 """(effect, parameter) -> values (N, J), or (N, 1) for the whole machine. What is not there is neutral."""
 
-STIFFEST = 2e-4
-"""Compliance of a transmission that has backlash only [rad/(N m)]: stiff against any position gain in use."""
-
 LEAST_SUPPLY = 0.1
 """Share of the supply that is left whatever is drawn."""
 
@@ -173,9 +170,10 @@ class Law:
     def _rotor_constants(self) -> dict[str, Any]:
         xp = self.xp
         compliance = self._zero + self.get("compliance", "compliance")
+        touching = self._zero + self.get("backlash", "compliance")
         half = (self._zero + self.get("backlash", "gap")) / 2
         there = (compliance > 0) | (half > 0)
-        stiffness = 1.0 / xp.clip(compliance, STIFFEST, None)
+        stiffness = 1.0 / xp.where(compliance > 0, compliance, touching)
         inertia = xp.clip(self._zero + self.get("armature", "inertia"), 1e-5, None)
         return {
             "there": there,

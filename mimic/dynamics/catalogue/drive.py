@@ -7,7 +7,7 @@ DRIVE = (
         name="armature",
         title="reflected rotor inertia",
         equation="tau = -inertia dv/dt, beside the links",
-        parameters=(Parameter("inertia", "kg m^2", neutral=MODEL, low=0.0, high=200.0, step=0.01),),
+        parameters=(Parameter("inertia", "kg m^2", neutral=MODEL, low=0.0, high=200.0, step=0.01, tolerance=0.1),),
         signature="grows with the square of the frequency, in phase with acceleration",
         experiment="chirp to 8-10 Hz",
         enters="dof_armature",

@@ -10,7 +10,9 @@ FORCES = (
         parameters=(
             Parameter("cosine", "N m", low=-20.0, high=20.0, step=0.01),
             Parameter("sine", "N m", low=-20.0, high=20.0, step=0.01),
-            Parameter("order", "1/rad", neutral=20.0, low=2.0, high=400.0, step=0.02, shape=True, spread=50),
+            Parameter(
+                "order", "1/rad", neutral=20.0, low=2.0, high=400.0, step=0.02, shape=True, spread=50, spectral=True
+            ),
         ),
         signature="a peak in the spectrum over position",
         experiment="slow ramps over the whole range",
@@ -59,7 +61,7 @@ FORCES = (
         name="com_shift",
         title="shifted centre of mass of a link",
         equation="centre of mass of the link moved by distance toward its end",
-        parameters=(Parameter("distance", "m", low=-0.15, high=0.15, step=0.003, spread=10),),
+        parameters=(Parameter("distance", "m", low=-0.15, high=0.15, step=0.003, spread=10, tolerance=0.02),),
         signature="follows gravity over the pose",
         experiment="static poses and a chirp",
         enters="body_ipos",

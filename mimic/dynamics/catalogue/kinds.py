@@ -44,6 +44,12 @@ class Parameter:
     inverse: bool = False
     """One over it is fitted, with which the motion changes nearly in proportion; 0 is none."""
 
+    tolerance: float = 0.0
+    """By how much a drawing may be off, one standard deviation: a share of the model's number, or of the link for
+    lengths; such numbers are free in every model, within that. 0: drawings say nothing of it."""
+    spectral: bool = False
+    """A fit begins at the peaks of what is left over position."""
+
     @property
     def bounds(self) -> tuple[float, float]:
         """Least and greatest of what is fitted."""

@@ -5,6 +5,9 @@ from mimic.dynamics.catalogue.kinds import Effect, Parameter
 GAPS = tuple(2.5 * 1.2**k for k in range(19))
 """Starts of a backlash, in differences that matter: a fit finds one only from within a sixth of it."""
 
+STIFFEST = 2e-4
+"""Compliance of a transmission that has backlash only [rad/(N m)]: stiff against any position gain in use."""
+
 DAMPING_RATIO = 0.2
 """Of the rotor against its transmission, where nothing is known; steel gears ring for a few periods."""
 
@@ -12,8 +15,13 @@ TRANSMISSION = (
     Effect(
         name="backlash",
         title="backlash",
-        equation="motor and link move freely against each other within gap; the encoder is on the motor",
-        parameters=(Parameter("gap", "rad", low=0.0, high=0.3, step=0.004, starts=GAPS, spread=100),),
+        equation="motor and link move freely within gap, then give by compliance; the encoder is on the motor",
+        parameters=(
+            Parameter("gap", "rad", low=0.0, high=0.3, step=0.004, starts=GAPS, spread=100),
+            Parameter(
+                "compliance", "rad/(N m)", neutral=STIFFEST, low=1e-5, high=0.01, step=0.003, shape=True, spread=1
+            ),
+        ),
         structural=True,
         signature="dwell at each reversal of torque",
         experiment="small reversals around zero load, and the same preloaded by gravity",

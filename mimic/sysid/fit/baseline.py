@@ -187,7 +187,7 @@ def problem_of(logs: JointLog | Pool, machine: MachineModel, settings: Calibrate
     problem.encoder_steps, problem.sending = steps, together.sending
     kd = np.stack([part.kd for part in together.parts])
     if torque is None and "viscous" in settings.baseline and np.all(kd == kd[0]) and enabled(log).all():
-        problem.pinned = frozenset(SAME_AS_VISCOUS)
+        problem.pinned |= frozenset(SAME_AS_VISCOUS)
     return problem
 
 

@@ -146,6 +146,10 @@ WIDE = 0.25
 """Share of a free parameter's step over which one-sided differences are taken; central ones over a third of that."""
 
 
+UNSEEN: frozenset[Key] = frozenset({("backlash", "compliance")})
+"""Numbers that replays in coarse steps do not see."""
+
+
 class Problem:
     """One log and model as a least-squares problem; a change makes another one."""
 
@@ -173,7 +177,7 @@ class Problem:
         """All that the logs allow."""
         self.log_scale = np.ones((len(replay.log.t), 1), dtype=np.float32)
         """Of each row's log: its residuals are divided by it, see `with_equal_logs`."""
-        self.pinned: frozenset[Key] = frozenset()
+        self.pinned: frozenset[Key] = UNSEEN
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
         self.encoder_steps: FloatArray = np.zeros(joints)
         """Of coarse encoders (J,) [rad], 0 where none is seen; the noise floor has what they round off."""

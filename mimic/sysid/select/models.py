@@ -19,7 +19,7 @@ import numpy as np
 
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE
-from mimic.dynamics.law import STIFFEST
+from mimic.dynamics.catalogue.transmission import STIFFEST
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.baseline import corrected_at, errors_of, moved, settled, with_fine_derivatives

@@ -1,0 +1,188 @@
+"""What logs and a model give a pass: rows, targets with the times at which they were sent, gains, and blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mimic.dynamics.machine import MachineModel, as_logged
+from mimic.io.joint_log import JointLog
+from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.innovations.predictor import Record
+from mimic.sysid.innovations.tree import Tree, tree_of
+from mimic.sysid.log.noise import coarse_steps, noise_floor
+from mimic.sysid.log.pool import VOLTAGE, Pool, enabled, pool, rows_of, valid_samples
+from mimic.sysid.log.timing import SendingTimes, at_rows
+
+SEEK = 0.3
+"""Time in which strong corrections find the start of a pass [s]."""
+
+FORGET = 0.4
+"""Time after which rows count: what the strong corrections left is over [s]."""
+
+SHARE = 0.2
+"""Most of a short log that these may take."""
+
+GAP = 0.25
+"""Time between two rows from which on a pass begins anew [s]: longer than any lag of a drive."""
+
+BLOCK = 1.5
+"""Length of the blocks that are judged [s]: longer than what an innovation remembers."""
+
+FOLDS = 6
+"""Parts into which blocks are dealt where there are no several gains, loads or logs."""
+
+BEFORE = 0.5
+"""Time before the first row of a log at which its first target was sent [s]: half of the time between logs."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Data:
+    """Logs of one machine, ready for passes."""
+
+    machine: MachineModel
+    tree: Tree
+    record: Record
+    names: tuple[str, ...]
+    """Of the logs."""
+    counts: BoolArray
+    """Readings that count (T, J)."""
+    noise: FloatArray
+    """Standard deviation of a reading (J,) [rad or m]."""
+    block: IntArray
+    """Block of each row (T,)."""
+    fold: IntArray
+    """Fold of each block (B,): blocks that are left out together."""
+    whole: str
+    """What is left out at once: "gains", "loads", "logs" or "blocks"."""
+    sending: tuple[SendingTimes, ...]
+    """All that the logs allow."""
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.machine.joints)
+
+    @property
+    def logs(self) -> int:
+        """Number of logs."""
+        return len(self.names)
+
+    def sent_at(self, times: SendingTimes) -> Data:
+        """Return the data with targets sent at these times."""
+        return replace(self, record=_targets(self.record, self._asked, times, self._begins))
+
+    @property
+    def _begins(self) -> IntArray:
+        return np.flatnonzero(np.concatenate([[True], np.diff(self.record.log) > 0]))
+
+    _asked: FloatArray
+    """Target in each row (T, J)."""
+
+
+def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] = ()) -> Data:
+    """Return logs of a machine ready for passes.
+
+    Args:
+        logs: Readings.
+        model: The machine, with the gains of its own.
+        names: Of the logs.
+
+    Raises:
+        CalibrationError: If the logs contradict each other, or lack a joint.
+    """
+    names = tuple(names) or tuple(f"log {i + 1}" for i in range(len(logs)))
+    together = pool([log.of(model.joints) for log in logs], model, 1e-3, names)
+    log, parts = together.log, together.parts
+    machine = as_logged(model, logs[0].metadata, by_force=log.q_des is None)
+    t = log.t - log.t[0]
+    known = valid_samples(log)[:, None] & np.isfinite(log.q)
+    y = np.where(known, log.q, np.nan)
+    which = np.repeat(np.arange(len(parts)), [p.rows for p in parts])
+    fresh = np.concatenate([[True], (np.diff(which) > 0) | (np.diff(t) > GAP)])
+    begun = t[np.maximum.accumulate(np.where(fresh, np.arange(len(t)), 0))]
+    length = np.array([p.end - p.begin for p in parts])[which]
+    since = t - begun
+    d = machine.drives
+    volts = np.zeros(len(machine.joints)) if d.volts is None else np.asarray(d.volts, dtype=float)
+    asked = log.q_des if log.q_des is not None else np.zeros_like(log.q)
+    record = Record(
+        t=t,
+        y=y,
+        log=which,
+        since=t - np.array([p.begin for p in parts])[which],
+        fresh=fresh,
+        settled=since >= np.minimum(SEEK, SHARE * length),
+        sent=np.zeros(0),
+        goal=np.zeros((0, len(machine.joints))),
+        force=np.zeros_like(log.q) if log.force is None else np.array(log.force),
+        on=enabled(log).astype(float),
+        supply=_supply(together, volts),
+        kp=np.stack([p.kp for p in parts]),
+        kd=np.stack([p.kd for p in parts]),
+        payload=np.stack([p.payload for p in parts]),
+        volts=volts,
+        kt=np.ones_like(volts) if d.kt is None else np.asarray(d.kt, dtype=float),
+        ohm=np.ones_like(volts) if d.resistance is None else np.asarray(d.resistance, dtype=float),
+        neighbour=np.asarray(d.neighbour),
+    )
+    block = _blocks(t, which)
+    fold, whole = _folds(record, block)
+    spread = noise_floor(np.where(np.isfinite(log.q), log.q, 0.0), log.rate)
+    made = Data(
+        machine=machine,
+        tree=tree_of(machine),
+        record=record,
+        names=names,
+        counts=known & (since >= np.minimum(FORGET, SHARE * length))[:, None],
+        noise=coarse_steps(log.q, spread)[1],
+        block=block,
+        fold=fold,
+        whole=whole,
+        sending=together.sending if log.q_des is not None else (at_rows(log),),
+        _asked=asked,
+    )
+    return made.sent_at(made.sending[0])
+
+
+def _targets(record: Record, asked: FloatArray, times: SendingTimes, begins: IntArray) -> Record:
+    """Return a record with the targets (T, J) sent at some times; the first of each log was there before."""
+    sent = times.at.copy()
+    first = np.isin(times.rows, begins)
+    sent[first] = record.t[times.rows[first]] - BEFORE
+    return record._replace(sent=sent, goal=np.ascontiguousarray(asked[times.rows]))
+
+
+def _supply(together: Pool, volts: FloatArray) -> FloatArray:
+    """Return the supply in each row over the nominal one (T,)."""
+    share = rows_of(together.parts, [np.array([p.supply]) for p in together.parts])[:, 0]
+    given = together.log.extra.get(VOLTAGE)
+    if given is None or not (volts > 0).any():
+        return np.ascontiguousarray(share)
+    return np.where(np.isfinite(given), given / float(volts[volts > 0].mean()), share)
+
+
+def _blocks(t: FloatArray, which: IntArray) -> IntArray:
+    """Return the block of each row: each log in equal ones, two at least."""
+    block, count = np.zeros(len(t), dtype=int), 0
+    for log in range(which[-1] + 1):
+        rows = which == log
+        since = t[rows] - t[rows][0]
+        pieces = max(round(since[-1] / BLOCK), 2)
+        block[rows] = count + np.minimum(since / since[-1] * pieces, pieces - 1).astype(int)
+        count += pieces
+    return block
+
+
+def _folds(record: Record, block: IntArray) -> tuple[IntArray, str]:
+    """Return the fold of each block and what is left out at once: gains, loads or logs where there are several."""
+    log = record.log[np.searchsorted(block, np.arange(block[-1] + 1))]
+    for name, rows in (("gains", record.kp), ("loads", record.payload)):
+        kinds = np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
+        if kinds.max() > 0:
+            return kinds[log], name
+    if log[-1] > 1:
+        return log % FOLDS, "logs"
+    return np.arange(len(log)) % FOLDS, "blocks"

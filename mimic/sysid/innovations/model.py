@@ -1,0 +1,434 @@
+"""A machine with some of the catalogue's numbers free: passes in parallel, derivatives, and maximum likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mimic.dynamics.catalogue import CATALOGUE, scale_of
+from mimic.dynamics.catalogue.kinds import MODEL, Parameter
+from mimic.dynamics.servo import neutral
+from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.innovations.data import Data
+from mimic.sysid.innovations.laws import KEYS, ROW
+from mimic.sysid.innovations.likelihood import DECAY, Gains, misfit, scales, weights
+from mimic.sysid.innovations.predictor import arrays_of, predict
+from mimic.sysid.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
+from mimic.sysid.log.noise import SMOOTH
+
+STEP = 1.25e-3
+"""Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
+
+COARSE = STEP, 4.0 * STEP
+"""The same for derivatives: with effects that have thresholds or states of their own, and without [s]."""
+
+PART = 0.5, 0.1
+"""Change of a number for a derivative, in differences that matter: of an effect with a threshold, and of others."""
+
+LEVELS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 0.6, 0.35)])
+"""Sizes of the unknown torque that are tried, as shares of the torque of a joint: factors of 2.2."""
+
+Key = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Free:
+    """One number that is fitted."""
+
+    key: Key
+    """Effect and parameter."""
+    joint: int
+    """-1 for the whole machine."""
+    width: float
+    """Standard deviation of what is plausible about the model's value, in what is fitted; inf without."""
+    centre: float = 0.0
+    """The model's value, in what is fitted."""
+    within: float = np.inf
+    """Most by which it may differ from that."""
+
+
+class Passes:
+    """Runs passes over data."""
+
+    def __init__(self, data: Data, threads: int = 1) -> None:
+        self.data, self.threads, self.count = data, threads, 0
+        self._arrays = arrays_of(data.tree, data.record)
+
+    def run(self, points: Sequence[FloatArray], gains: Sequence[FloatArray], step: float = STEP) -> list[FloatArray]:
+        """Return innovations (T, J) of some tables of numbers with their gains."""
+        return [self.data.record.y - made[0] for made in self.whole(points, gains, step)]
+
+    def whole(
+        self, points: Sequence[FloatArray], gains: Sequence[FloatArray], step: float = STEP
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Return predicted readings, unknown torques and torques of the motors (T, J) of each."""
+
+        def one(item: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+            out = np.empty((3, *self.data.record.y.shape))
+            predict(*self._arrays, item[0], item[1], DECAY, step, out)
+            return out[0], out[1], out[2]
+
+        self.count += len(points)
+        pairs = list(zip(points, gains, strict=True))
+        if self.threads > 1 and len(pairs) > 1:
+            with ThreadPoolExecutor(self.threads) as pool:
+                return list(pool.map(one, pairs))
+        return [one(pair) for pair in pairs]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Setting:
+    """What all models of one search share."""
+
+    passes: Passes
+    gains: Gains
+    scale: dict[str, FloatArray]
+    """How large position, speed, acceleration and torque are in each joint: root mean squares (J,)."""
+    peak: dict[str, FloatArray]
+    """Largest torque and speed in each joint, by their units (J,)."""
+    blank: FloatArray
+    """The table of numbers without any effect (S, J)."""
+
+    @property
+    def data(self) -> Data:
+        """The logs."""
+        return self.passes.data
+
+    def width(self, key: Key, j: int) -> tuple[float, float]:
+        """Return how far from where a number is plausible, in what is fitted, and where; inf where anything is."""
+        p = CATALOGUE[key[0]].parameter(key[1])
+        centre = to_fit(p, float(self.blank[ROW[key], max(j, 0)]))
+        if relative(p):
+            return float(np.log(10.0)), centre
+        if p.inverse or (CATALOGUE[key[0]].structural and p.neutral == MODEL):
+            return np.inf, centre
+        return p.spread * p.step * self.size(p.unit, j), centre
+
+    def size(self, unit: str, j: int) -> float:
+        """Return how large a number of this unit is in a joint."""
+        j = max(j, 0)
+        return scale_of(unit, *(float(self.scale[k][j]) for k in ("position", "speed", "acceleration", "torque")))
+
+    def difference(self, key: Key, j: int) -> float:
+        """Return a difference that matters, in what is fitted."""
+        p = CATALOGUE[key[0]].parameter(key[1])
+        if relative(p):
+            return p.step if p.unit == "1" else 5.0 * 0.01
+        if p.inverse:
+            return 0.02 / (self.size(p.unit, j))
+        return p.step * self.size(p.unit, j)
+
+
+def relative(p: Parameter) -> bool:
+    """Return whether the logarithm of a number is fitted: those that say where or when, and have no zero."""
+    return p.shape and p.low > 0.0
+
+
+def to_fit(p: Parameter, x: float) -> float:
+    """Return what is fitted of a value."""
+    return float(np.log(x)) if relative(p) else p.turned(x)
+
+
+def from_fit(p: Parameter, x: float) -> float:
+    """Return the value of what is fitted, within its bounds."""
+    if relative(p):
+        return float(np.exp(np.clip(x, np.log(p.low), np.log(p.high))))
+    low, high = p.bounds
+    return float(p.turned(np.clip(x, low, high)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    """Free numbers, their values and those of all others, and what a pass says of them."""
+
+    setting: Setting
+    free: tuple[Free, ...]
+    table: FloatArray
+    """Numbers (S, J)."""
+    unknown: FloatArray
+    """Size of the unknown torque (J,) [N m]."""
+    effects: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    """Effects beside the baseline, with their joints."""
+    e: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """Innovations (T, J)."""
+    scale: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """(L, J)"""
+    cost: float = np.inf
+    """Minus the log density, with what is plausible of the numbers."""
+    columns: FloatArray | None = None
+    """Derivatives of the innovations (P, T, J)."""
+
+    @property
+    def data(self) -> Data:
+        """The logs."""
+        return self.setting.data
+
+    def values(self) -> FloatArray:
+        """Return what is fitted (P,)."""
+        return np.array([to_fit(_parameter(f), float(self.table[ROW[f.key], max(f.joint, 0)])) for f in self.free])
+
+    def at(self, x: FloatArray) -> FloatArray:
+        """Return the table of numbers at these values (P,)."""
+        table = self.table.copy()
+        for f, value in zip(self.free, x, strict=True):
+            where = slice(None) if f.joint < 0 else f.joint
+            value = np.clip(value, f.centre - f.within, f.centre + f.within)
+            table[ROW[f.key], where] = from_fit(_parameter(f), float(value))
+        return table
+
+    def implausible(self, x: FloatArray) -> float:
+        """Return minus the log of how plausible values (P,) are beside the model's."""
+        return 0.5 * float(sum(((v - f.centre) / f.width) ** 2 for f, v in zip(self.free, x, strict=True)))
+
+    def judged(self, e: FloatArray, table: FloatArray | None = None, unknown: FloatArray | None = None) -> Model:
+        """Return the model with innovations, their scale and cost."""
+        made = replace(
+            self,
+            table=self.table if table is None else table,
+            unknown=self.unknown if unknown is None else unknown,
+            e=e,
+            scale=scales(e, self.data),
+            columns=None,
+        )
+        cost = float(misfit(e, made.scale, self.data).sum()) + made.implausible(made.values())
+        return replace(made, cost=cost if np.isfinite(cost) else np.inf)
+
+    def evaluated(self, step: float = STEP) -> Model:
+        """Return the model after a pass."""
+        gains = self.setting.gains.of(self.unknown)
+        return self.judged(self.setting.passes.run([self.table], [gains], step)[0])
+
+    def differentiated(self) -> Model:
+        """Return the model with derivatives; numbers of chains apart share a pass."""
+        if self.columns is not None:
+            return self
+        data, x = self.data, self.values()
+        gains = self.setting.gains.of(self.unknown)
+        shift = np.zeros(len(x))
+        for k, f in enumerate(self.free):
+            rough = CATALOGUE[f.key[0]].structural
+            by = PART[0 if rough else 1] * self.setting.difference(f.key, f.joint)
+            high = _bounds(_parameter(f))[1]
+            shift[k] = by if x[k] + by <= min(high, f.centre + f.within) else -by
+        colours = _colours(self.free, np.asarray(data.machine.chain))
+        tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
+        stiff = any(CATALOGUE[name].structural for name, _ in self.effects)
+        step = COARSE[0] if stiff else COARSE[1]
+        *moved, still = self.setting.passes.run([*tables, self.table], [gains] * (len(tables) + 1), step)
+        columns = np.zeros((len(x), *self.e.shape))
+        for k, f in enumerate(self.free):
+            own = slice(None) if f.joint < 0 else np.asarray(data.machine.chain) == data.machine.chain[f.joint]
+            columns[k][:, own] = ((moved[colours[k]] - still) / shift[k])[:, own]
+        return replace(self, columns=np.nan_to_num(columns))
+
+    def normal(self, rows: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return Hessian (P, P) and descent (P,) of the cost over some rows, plausibility left out."""
+        assert self.columns is not None
+        w = weights(self.e, self.scale, self.data)
+        if rows is not None:
+            w = np.where(rows[:, None], w, 0.0)
+        flat = self.columns.reshape(len(self.free), -1)
+        w, e = w.ravel(), np.nan_to_num(self.e).ravel()
+        used = w > 0
+        c = flat[:, used]
+        weighed = c * w[used]
+        return weighed @ c.T, -(weighed @ e[used])
+
+    def numbers(self) -> float:
+        """Return how many numbers the logs determine, beside what is plausible of them."""
+        hessian, prior = self.differentiated().normal()[0], self.plausibility(self.values())[0]
+        return float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), hessian)))
+
+    def plausibility(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the same of what is plausible, at values (P,)."""
+        width = np.array([f.width for f in self.free])
+        return np.diag(1.0 / width**2), -(x - np.array([f.centre for f in self.free])) / width**2
+
+    def fitted(self, most: int = 6, enough: float = 1.0) -> Model:
+        """Return the model at the greatest likelihood that so many steps of Gauss and Newton find.
+
+        Args:
+            most: Steps.
+            enough: Gain of the log density of a step after which to stop.
+        """
+        now = self if len(self.e) else self.evaluated()
+        damping, fresh = 1e-3, now.columns is not None
+        for _ in range(2 * most):
+            if now.columns is None:
+                if most == 0:
+                    break
+                now, fresh, most = now.differentiated(), True, most - 1
+            better, damping = now._step(damping, 5 if fresh else 1)
+            if better is None and fresh:
+                break
+            if better is None:
+                now = replace(now, columns=None)
+                continue
+            gained = now.cost - better.cost
+            if gained < enough and fresh:
+                return better
+            now = replace(better, columns=now.columns if fresh else None)
+            fresh = False
+        return replace(now, columns=None)
+
+    def _step(self, damping: float, most: int) -> tuple[Model | None, float]:
+        """Return a better model that a damped step leads to, if one does, and the damping of the next."""
+        x = self.values()
+        hessian, descent = (a + b for a, b in zip(self.normal(), self.plausibility(x), strict=True))
+        own = np.diag(np.diag(hessian) + 1e-12)
+        for _ in range(most):
+            trial = replace(self, table=self.at(x + np.linalg.solve(hessian + damping * own, descent))).evaluated()
+            if trial.cost < self.cost:
+                return trial, max(damping / 8.0, 1e-6)
+            damping *= 8.0
+        return None, damping
+
+    def sized(self) -> tuple[Model, bool]:
+        """Return the model with the likeliest unknown torque in each joint, and whether that is another one."""
+        now, changed = self if len(self.e) else self.evaluated(), False
+        for j in range(self.data.joints):
+            for way in (-1, 1):
+                while (trial := now._other_size(j, way)) is not None and trial.cost < now.cost - 0.5:
+                    now, changed = trial, True
+        return now, changed
+
+    def _other_size(self, j: int, way: int) -> Model | None:
+        levels = LEVELS * self.setting.gains.torque[j]
+        k = int(np.argmin(np.abs(levels - self.unknown[j]))) + way
+        if not 0 <= k < len(levels):
+            return None
+        unknown = self.unknown.copy()
+        unknown[j] = levels[k]
+        return replace(self, unknown=unknown, columns=None).evaluated()
+
+    def settled(self, rounds: int = 3, most: int = 5) -> Model:
+        """Return the model with numbers and unknown torque at their likeliest, in turn."""
+        now = self.fitted(most)
+        for _ in range(rounds):
+            now, changed = now.sized()
+            if not changed:
+                break
+            now = now.fitted(most)
+        return now
+
+    def elsewhere(self) -> Model:
+        """Return the better of this model and of those found from a smaller and a larger unknown torque."""
+        best = self
+        for by in (0.25, 4.0):
+            levels = LEVELS[:, None] * self.setting.gains.torque
+            nearest = np.argmin(np.abs(levels - by * self.unknown), axis=0)
+            unknown = levels[nearest, np.arange(self.data.joints)]
+            trial = replace(self, unknown=unknown, columns=None).evaluated().fitted(4)
+            trial = trial.sized()[0].fitted(3)
+            if trial.cost < best.cost - 1.0:
+                best = trial
+        return best
+
+    def without_unknown(self, most: int = 3) -> Model:
+        """Return the model fitted as a plain replay, without any correction after its start."""
+        return replace(self, unknown=np.zeros(self.data.joints), columns=None).evaluated().fitted(most)
+
+    def left_out(self) -> FloatArray:
+        """Return the innovations (T, J) after one step of Gauss and Newton, for each fold, without it."""
+        now = self.differentiated()
+        assert now.columns is not None
+        data = self.data
+        total, down = now.normal()
+        prior = now.plausibility(self.values())
+        small = 1e-6 * np.diag(np.diag(total)) + 1e-12 * np.eye(len(down))
+        e = now.e.copy()
+        for k in range(data.fold.max() + 1):
+            rows = (data.fold == k)[data.block]
+            hessian, descent = now.normal(rows)
+            step = np.linalg.solve(total - hessian + prior[0] + small, down - descent + prior[1])
+            e[rows] += np.einsum("p,ptj->tj", step, now.columns[:, rows])
+        return e
+
+    def held_out(self) -> FloatArray:
+        """Return the log density of each block (B,) under a fit without its fold."""
+        lost = misfit(self.left_out(), self.scale, self.data).sum(axis=1)
+        return -np.bincount(self.data.block, lost, len(self.data.fold))
+
+
+def _parameter(f: Free) -> Parameter:
+    return CATALOGUE[f.key[0]].parameter(f.key[1])
+
+
+def _bounds(p: Parameter) -> tuple[float, float]:
+    return (float(np.log(p.low)), float(np.log(p.high))) if relative(p) else p.bounds
+
+
+def _colours(free: Sequence[Free], chain: IntArray) -> IntArray:
+    """Return which pass each number is moved in: one of the whole machine alone, others with those of other chains."""
+    colours, used = np.zeros(len(free), dtype=int), {int(c): 0 for c in chain}
+    for k, f in enumerate(free):
+        if f.joint >= 0:
+            own = int(chain[f.joint])
+            colours[k] = used[own]
+            used[own] += 1
+    most = max(used.values(), default=0)
+    for k, f in enumerate(free):
+        if f.joint < 0:
+            colours[k] = most
+            most += 1
+    return colours
+
+
+def blank_table(data: Data) -> FloatArray:
+    """Return the table of numbers without any effect (S, J)."""
+    table = np.zeros((len(KEYS), data.joints))
+    for row, (name, parameter) in enumerate(KEYS):
+        p = CATALOGUE[name].parameter(parameter)
+        if name == "motor" and data.machine.drives.volts is None:
+            table[row] = 1.0
+        elif p.fixed and p.shape and p.starts:
+            table[row] = p.starts[0]
+        else:
+            table[row] = neutral(name, parameter, data.machine)
+    return table
+
+
+def setting_of(data: Data, threads: int = 1) -> Setting:
+    """Return what all models of a search share, from what a pass with strong corrections says of the motion."""
+    blank, n = blank_table(data), data.joints
+    record = data.record
+    q = np.nan_to_num(record.y, nan=0.0)
+    known = np.isfinite(record.y)
+    dt = np.gradient(record.t)
+    smooth = np.stack([np.interp(record.t, record.t[known[:, j]], q[known[:, j], j]) for j in range(n)], -1)
+    joints, shape = packed(data.tree)
+    one, tree = np.ones(n), data.tree
+    links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0.0 * one, 0.0 * one)
+    room, mass = np.zeros((n, ROOM)), np.zeros((n, n))
+    room[:, AT] = np.median(smooth, axis=0)
+    dynamics(joints, shape, links, tree.gravity, room, mass)
+    rotor = blank[ROW["armature", "inertia"]]
+    inertia = np.diag(mass) + rotor
+    width = max(round(SMOOTH / float(np.median(dt))), 1)
+    kernel = np.ones(width) / width
+    calm = np.stack([np.convolve(c, kernel, mode="same") for c in smooth.T], -1)
+    speed = np.gradient(calm, record.t, axis=0)
+    faster = np.gradient(speed, record.t, axis=0)
+    used = data.counts & (np.abs(speed) < 1e3)
+    needed = np.zeros_like(smooth)
+    for i in range(0, len(smooth), 5):
+        room[:, AT], room[:, MOVING] = calm[i], speed[i]
+        dynamics(joints, shape, links, tree.gravity, room, mass)
+        needed[i : i + 5] = mass @ faster[i] + rotor * faster[i] + room[:, BIAS]
+
+    def rms(x: FloatArray) -> FloatArray:
+        return np.sqrt(np.where(used, x**2, 0.0).sum(0) / np.maximum(used.sum(0), 1)) + 1e-9
+
+    dry = blank[ROW["coulomb", "level"]]
+    scale = {
+        "position": np.maximum(rms(calm - calm.mean(0)), 10.0 * data.noise),
+        "speed": rms(speed),
+        "acceleration": rms(faster),
+        "torque": np.maximum(rms(needed) + dry, 1e-6),
+    }
+    peak = {"N m": np.abs(needed).max(0) + dry, "rad/s": np.where(used, np.abs(speed), 0.0).max(0)}
+    gains = Gains(data, inertia, blank[ROW["viscous", "coefficient"]], scale["torque"])
+    return Setting(passes=Passes(data, threads), gains=gains, scale=scale, peak=peak, blank=blank)

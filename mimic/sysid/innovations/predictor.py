@@ -1,0 +1,456 @@
+"""One pass over logs: a machine with a drive in each joint, corrected at every reading by constant gains.
+
+Leapfrog steps with damping and transmissions in the middle of the step (second order, stable at any stiffness of them);
+dry friction is exact, so that what sticks does not creep; a step in which a target arrives has the torque of each
+target for its share of the time. The unknown torque of each joint decays and is known by the corrections only.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.innovations.laws import (
+    CHANGE,
+    DELAY,
+    DROP,
+    FACTOR,
+    GOAL,
+    JOINT_DELAY,
+    KT,
+    LEAST,
+    LOAD,
+    OHM,
+    PITCH,
+    PUSH,
+    QM,
+    ROLL,
+    ROTOR,
+    SHIFT,
+    STATES,
+    TAU,
+    VISCOUS,
+    VM,
+    Q,
+    V,
+    W,
+    drive,
+    elastic,
+    friction,
+    gear,
+    placed,
+    reads,
+    resisting,
+    unread,
+)
+from mimic.sysid.innovations.tree import (
+    AT,
+    BIAS,
+    END,
+    FAST_MATH,
+    MOVING,
+    REST,
+    ROOM,
+    STIFFNESS,
+    Tree,
+    dynamics,
+    links_of,
+    packed,
+)
+
+LOST = 1e3
+"""What a pass says where the machine flew apart: speeds beyond it, and predictions from there on [rad/s, rad]."""
+
+SWEEPS = 40
+"""Most sweeps over the joints to find which stick; each leaves a part of the error that masses couple."""
+
+EXACT = 1e-6
+"""Share of the dry friction by which it may be off."""
+
+
+class Record(NamedTuple):
+    """Logs one after another, on one clock."""
+
+    t: FloatArray
+    """Time of each reading (T,) [s]."""
+    y: FloatArray
+    """Reading (T, J), not a number where there is none."""
+    log: IntArray
+    """Log of each row (T,)."""
+    since: FloatArray
+    """Time of each row since its log began (T,) [s]."""
+    fresh: BoolArray
+    """Rows at which a pass begins anew (T,)."""
+    settled: BoolArray
+    """Rows at which the start is forgotten (T,)."""
+    sent: FloatArray
+    """When each target was sent (K,) [s]."""
+    goal: FloatArray
+    """Targets (K, J)."""
+    force: FloatArray
+    """Torque beside the targets, from each row to the next (T, J)."""
+    on: FloatArray
+    """1 where a drive is switched on (T, J)."""
+    supply: FloatArray
+    """Share of the supply (T,)."""
+    kp: FloatArray
+    """Of each log (L, J)."""
+    kd: FloatArray
+    """(L, J)"""
+    payload: FloatArray
+    """At the end of each link (L, J) [kg]."""
+    volts: FloatArray
+    """Supply of voltage drives, 0 for drives of torque (J,) [V]."""
+    kt: FloatArray
+    """That the gains of voltage drives were computed with (J,)."""
+    ohm: FloatArray
+    """(J,)"""
+    neighbour: IntArray
+    """(J,)"""
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def gravity_of(gravity, roll, pitch):  # type: ignore[no-untyped-def]
+    """Return gravity in the axes of a base turned by roll about x, then pitch about y."""
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    out = np.empty(3)
+    out[0] = cp * gravity[0] - sp * gravity[2]
+    across = sp * gravity[0] + cp * gravity[2]
+    out[1] = cr * gravity[1] + sr * across
+    out[2] = cr * across - sr * gravity[1]
+    return out
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def inverted(a, m):  # type: ignore[no-untyped-def]
+    """Invert the first m rows and columns of a symmetric positive matrix in place."""
+    if m == 1:
+        a[0, 0] = 1.0 / a[0, 0]
+        return
+    if m == 2:
+        d = 1.0 / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
+        x, y, z = a[0, 0], a[0, 1], a[1, 1]
+        a[0, 0], a[1, 1] = z * d, x * d
+        a[0, 1] = a[1, 0] = -y * d
+        return
+    for k in range(m):
+        pivot = 1.0 / a[k, k]
+        for i in range(m):
+            if i != k:
+                by = a[i, k] * pivot
+                for c in range(m):
+                    if c != k:
+                        a[i, c] -= by * a[k, c]
+                a[i, k] = -by
+        for c in range(m):
+            if c != k:
+                a[k, c] *= pivot
+        a[k, k] = pivot
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def braked(a, m, solve):  # type: ignore[no-untyped-def]
+    """Let dry friction act on velocities for a step: impulses within bounds that stop what they can.
+
+    Args:
+        a: Inverse of the masses (m, m).
+        m: Joints and rotors.
+        solve: Velocities without friction, bounds, and the impulses of the last step, with which the search begins
+            (m, 5); velocities and impulses are changed.
+    """
+    most = 0.0
+    for i in range(m):
+        push = min(max(solve[i, LAST], -solve[i, FORWARD]), solve[i, BACKWARD])
+        solve[i, LAST] = push
+        most = max(most, solve[i, FORWARD], solve[i, BACKWARD])
+        if push != 0.0:
+            for c in range(m):
+                solve[c, FAST] += a[c, i] * push
+    for _ in range(SWEEPS):
+        moved = 0.0
+        for i in range(m):
+            push = solve[i, LAST]
+            new = min(max(push - solve[i, FAST] / a[i, i], -solve[i, FORWARD]), solve[i, BACKWARD])
+            by = new - push
+            if by != 0.0:
+                solve[i, LAST] = new
+                for c in range(m):
+                    solve[c, FAST] += a[c, i] * by
+                moved = max(moved, abs(by))
+        if moved <= EXACT * most:
+            break
+
+
+FAST, FORWARD, BACKWARD, LAST, PUSHED, SOLVE = range(6)
+"""Columns of the equations of a step: velocity, largest friction impulses against forward and backward motion, the last
+impulse, and that of all other forces."""
+
+TORQUE, ON_LINK, DAMPING, SIZE, ASKED = range(5)
+"""Rows of what drives do in a step: torque on the shaft, on the link beside, implicit damping, mean size."""
+
+READING, ADDED, STIFF, DAMP, INPUTS = range(5)
+"""Columns of a row of a log: reading, torque beside the targets, gains, which are 0 where the drive is off."""
+
+TIME, SINCE, SUPPLY, CLOCK = range(4)
+
+LOG, FRESH, SETTLED, MARKS = range(4)
+
+VOLTS, OWN_KT, OWN_OHM, NEIGHBOUR, MOTOR = range(5)
+
+
+class Arrays(NamedTuple):
+    """A record and a tree as a pass takes them: few arrays, since compiled code counts references to each."""
+
+    joints: IntArray
+    shape: FloatArray
+    clock: FloatArray
+    """(T, 3)"""
+    inputs: FloatArray
+    """(T, J, 4)"""
+    marks: IntArray
+    """(T, 3)"""
+    sent: FloatArray
+    goal: FloatArray
+    motors: FloatArray
+    """(J, 4)"""
+    payload: FloatArray
+    own: tuple[FloatArray, ...]
+    """Masses, centres, inertias, directions and tips of the links."""
+    gravity: FloatArray
+
+
+def arrays_of(tree: Tree, record: Record) -> Arrays:
+    """Return a tree and a record as a pass takes them."""
+    joints, shape = packed(tree)
+    kp, kd = record.kp[record.log] * record.on, record.kd[record.log] * record.on
+    return Arrays(
+        joints=joints,
+        shape=shape,
+        clock=np.stack([record.t, record.since, record.supply], -1),
+        inputs=np.stack([record.y, record.force, kp, kd], -1),
+        marks=np.stack([record.log, record.fresh, record.settled], -1).astype(np.int64),
+        sent=record.sent,
+        goal=record.goal,
+        motors=np.stack([record.volts, record.kt, record.ohm, record.neighbour.astype(float)], -1),
+        payload=record.payload,
+        own=(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip),
+        gravity=tree.gravity,
+    )
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def supply_left(p, s):  # type: ignore[no-untyped-def]
+    """Return the share of the supply that is left while motors do the work of the last step."""
+    if p[DROP, 0] == 0.0:
+        return 1.0
+    drawn = 0.0
+    for j in range(s.shape[1]):
+        drawn += max(s[TAU, j] * s[VM, j], 0.0)
+    return max(1.0 - p[DROP, 0] * drawn, LEAST)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h):  # type: ignore[no-untyped-def]
+    """Let all drives and outer torques act for step k of those that end at row i."""
+    left = supply_left(p, s) * clock[i, SUPPLY]
+    for j in range(s.shape[1]):
+        begin = clock[i - 1, TIME] + k * h - p[DELAY, j] - p[JOINT_DELAY, j]
+        aim = at[j]
+        while aim + 1 < len(sent) and sent[aim + 1] <= begin:
+            aim += 1
+        at[j] = aim
+        first = goal[aim, j]
+        second = first
+        share = 1.0
+        if aim + 1 < len(sent) and sent[aim + 1] < begin + h:
+            share = (sent[aim + 1] - begin) / h
+            second = goal[aim + 1, j]
+        kp, kd = inputs[i - 1, j, STIFF], inputs[i - 1, j, DAMP]
+        volts = motors[j, VOLTS]
+        if volts > 0.0:
+            more = p[KT, j] / motors[j, OWN_KT] * motors[j, OWN_OHM] / p[OHM, j]
+            kp, kd = kp * more, kd * more * p[KT, j] / motors[j, OWN_KT]
+        since = clock[i - 1, SINCE] + k * h
+        torque, size, kept = drive(
+            p, s, j, h, since, first, second, share, kp, kd, inputs[i - 1, j, ADDED], left, volts
+        )
+        on_motor, on_link = placed(p, s, j)
+        torque += on_motor + resisting(p, s, j, int(motors[j, NEIGHBOUR])) - p[VISCOUS, j] * s[VM, j] + s[W, j]
+        acts[TORQUE, j], acts[ON_LINK, j], acts[SIZE, j] = torque, on_link, size
+        acts[DAMPING, j] = p[VISCOUS, j] + kept
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # type: ignore[no-untyped-def]
+    """Write the masses (C, C), forces and friction of a chain with its rotors; return how many there are."""
+    end = joints[begin, END]
+    m = end - begin
+    count = m
+    for j in range(begin, end):
+        count += 1 if elastic(p, j) else 0
+    for i in range(count):
+        for c in range(count):
+            a[i, c] = mass[begin + i, begin + c] if i < m and c < m else 0.0
+    row = m
+    for j in range(begin, end):
+        i = j - begin
+        spring = shape[j, STIFFNESS] * (s[Q, j] - shape[j, REST])
+        forward, backward = friction(p, s, j, acts[SIZE, j], room[j, BIAS])
+        inertia = p[ROTOR, j] + 0.5 * h * acts[DAMPING, j]
+        link = acts[ON_LINK, j] - room[j, BIAS] - spring
+        at = i
+        if elastic(p, j):
+            at = row
+            row += 1
+            torque, implicit = gear(p, s, j, h)
+            a[i, i] += h * implicit
+            a[i, at] -= h * implicit
+            a[at, i] -= h * implicit
+            a[at, at] = inertia + h * implicit
+            solve[i, PUSHED] = h * (torque + link)
+            solve[at, PUSHED] = h * (acts[TORQUE, j] - torque)
+            solve[i, FORWARD] = solve[i, BACKWARD] = solve[i, LAST] = 0.0
+        else:
+            a[i, i] += inertia
+            solve[i, PUSHED] = h * (acts[TORQUE, j] + link)
+        solve[at, FORWARD], solve[at, BACKWARD], solve[at, LAST] = h * forward, h * backward, s[PUSH, j]
+        solve[i, FAST] = s[V, j]
+        solve[at, FAST] = s[VM, j]
+    return count
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no-untyped-def]
+    """Bring the velocities of all joints and rotors to the end of a step."""
+    n = s.shape[1]
+    begin = 0
+    while begin < n:
+        end = joints[begin, END]
+        count = equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h)
+        inverted(a, count)
+        for i in range(count):
+            change = 0.0
+            for c in range(count):
+                change += a[i, c] * solve[c, PUSHED]
+            solve[i, FAST] += change
+        braked(a, count, solve)
+        row = end - begin
+        for j in range(begin, end):
+            at = j - begin
+            s[V, j] = solve[at, FAST]
+            if elastic(p, j):
+                at = row
+                row += 1
+            s[CHANGE, j] = solve[at, FAST] - s[VM, j]
+            s[VM, j] = solve[at, FAST]
+            s[PUSH, j] = solve[at, LAST]
+        begin = end
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def begin_at(clock, inputs, sent, goal, p, s, at, i):  # type: ignore[no-untyped-def]
+    """Let a pass begin at rest at the readings of a row."""
+    s[:] = 0.0
+    for j in range(s.shape[1]):
+        row = i
+        while row + 1 < len(clock) and not np.isfinite(inputs[row, j, READING]):
+            row += 1
+        s[Q, j] = unread(p, j, inputs[row, j, READING])
+        s[QM, j] = s[Q, j]
+        aim = 0
+        while aim + 1 < len(sent) and sent[aim + 1] <= clock[i, TIME] - p[DELAY, j] - p[JOINT_DELAY, j]:
+            aim += 1
+        at[j] = aim
+        s[GOAL, j] = goal[aim, j]
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def correct(p, s, inputs, gains, out, i, log, settled):  # type: ignore[no-untyped-def]
+    """Write what is predicted of a row, and correct the state by what was read."""
+    for j in range(s.shape[1]):
+        out[0, i, j] = reads(p, j, s[QM, j])
+        out[1, i, j], out[2, i, j] = s[W, j], s[TAU, j]
+        off = inputs[i, j, READING] - out[0, i, j]
+        if np.isfinite(off):
+            s[Q, j] += gains[log, settled, j, 0] * off
+            s[QM, j] += gains[log, settled, j, 0] * off
+            s[V, j] += gains[log, settled, j, 1] * off
+            s[VM, j] += gains[log, settled, j, 1] * off
+            s[W, j] += gains[log, settled, j, 2] * off
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+def half(p, s, room, h):  # type: ignore[no-untyped-def]
+    """Bring positions half of a step on; return whether the machine holds together."""
+    whole = True
+    for j in range(s.shape[1]):
+        s[Q, j] += 0.5 * h * s[V, j]
+        s[QM, j] += 0.5 * h * s[VM, j]
+        room[j, AT] = s[Q, j]
+        room[j, MOVING] = s[V, j] if elastic(p, j) else s[V, j] + 0.5 * s[CHANGE, j]
+        whole = whole and abs(s[V, j]) < LOST and abs(s[VM, j]) < LOST
+    return whole
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True)
+def predict(  # type: ignore[no-untyped-def]
+    joints, shape, clock, inputs, marks, sent, goal, motors, payload, own, gravity, p, gains, decay, step, out
+):
+    """Write what a machine with some numbers is predicted to do, reading by reading.
+
+    Args:
+        joints: These and all before p are `Arrays`.
+        shape: -
+        clock: -
+        inputs: -
+        marks: -
+        sent: -
+        goal: -
+        motors: -
+        payload: -
+        own: -
+        gravity: -
+        p: Numbers (S, J).
+        gains: Corrections of position, velocity and unknown torque for each radian (L, 2, J, 3): while the start is
+            sought, and after.
+        decay: Time constant of the unknown torque [s].
+        step: Longest step [s].
+        out: Takes predicted readings, unknown torques and those of the motors (3, T, J).
+
+    Returns:
+        Whether the machine held together.
+    """
+    n = inputs.shape[1]
+    s, room, mass = np.zeros((STATES, n)), np.zeros((n, ROOM)), np.zeros((n, n))
+    acts, a, solve = np.zeros((ASKED, n)), np.zeros((2 * n, 2 * n)), np.zeros((2 * n, SOLVE))
+    at = np.zeros(n, dtype=np.int64)
+    pull = gravity_of(gravity, p[ROLL, 0], p[PITCH, 0])
+    links = np.zeros((n, 10))
+    for i in range(len(clock)):
+        log = marks[i, LOG]
+        if marks[i, FRESH]:
+            links = links_of(own[0], own[1], own[2], own[3], own[4], p[FACTOR], p[SHIFT], p[LOAD] + payload[log])
+            begin_at(clock, inputs, sent, goal, p, s, at, i)
+            correct(p, s, inputs, gains, out, i, log, marks[i, SETTLED])
+            continue
+        gap = clock[i, TIME] - clock[i - 1, TIME]
+        steps = max(int(np.ceil(gap / step - 1e-3)), 1)
+        h = gap / steps
+        kept = np.exp(-h / decay)
+        for k in range(steps):
+            half(p, s, room, h)
+            dynamics(joints, shape, links, pull, room, mass)
+            ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h)
+            move(joints, shape, p, s, acts, room, mass, a, solve, h)
+            for j in range(n):
+                s[W, j] *= kept
+            if not half(p, s, room, h):
+                out[0, i:] = LOST
+                out[1, i:] = 0.0
+                out[2, i:] = 0.0
+                return False
+        correct(p, s, inputs, gains, out, i, log, marks[i, SETTLED])
+    return True

@@ -1,0 +1,316 @@
+"""Which effects would explain innovations: each at a few sizes, by one step of least squares of what is left.
+
+An effect is moved to a few places; what each does to the innovations is a column, the numbers of the model are
+projected out, and the gain of the log density is that of a linear step. Joints of chains apart share a pass.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.catalogue.kinds import MODEL, Effect, Parameter
+from mimic.dynamics.law import OF_DRIVES
+from mimic.records import FloatArray
+from mimic.sysid.innovations.laws import ROW
+from mimic.sysid.innovations.likelihood import weights
+from mimic.sysid.innovations.model import STEP, Free, Model, Setting, from_fit, to_fit
+
+PLACES = 4
+"""Most places at which a number that has many is tried, from the first to the last."""
+
+PEAKS = 3
+"""Peaks of what is left over position at which a wave is tried."""
+
+REACH = 5.0
+"""Most by which a linear step may scale the place at which an effect was tried."""
+
+NEARER = (1.0, 0.4)
+"""Shares of a linear step from which an effect is fitted: the better one."""
+
+RANGE = (1.5, 40.0)
+"""Periods of a wave in the range of motion; a longer one is a spring."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place:
+    """Where an effect is tried in one joint, and what that does."""
+
+    values: Mapping[str, float]
+    """Numbers at the place."""
+    moved: tuple[tuple[str, ...], ...]
+    """Numbers that each column moves together."""
+    columns: FloatArray
+    """What each does to the whitened innovations, the model's numbers projected out (C, N)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """An effect in some joints with the numbers of a linear step."""
+
+    name: str
+    joints: tuple[int, ...]
+    values: tuple[Mapping[str, float], ...]
+    """Numbers in each of them."""
+    tried: tuple[Mapping[str, float], ...]
+    """Where they were tried."""
+    gain: float
+    """Of the log density."""
+    numbers: int
+
+
+def applicable(setting: Setting, baseline: Sequence[str]) -> tuple[str, ...]:
+    """Return the effects that may be looked for in a machine."""
+
+    def lacking(effect: Effect) -> bool:
+        drives = setting.data.machine.drives
+        keys = [(effect.name, p.name) for p in effect.parameters]
+        return any(k in OF_DRIVES and getattr(drives, OF_DRIVES[k]) is None for k in keys)
+
+    return tuple(e.name for e in CATALOGUE.values() if not (e.read_off or e.name in baseline or lacking(e)))
+
+
+def wanted(name: str) -> tuple[Parameter, ...]:
+    """Return the numbers of an effect that are fitted."""
+    return tuple(p for p in CATALOGUE[name].parameters if not p.fixed)
+
+
+def starts_of(p: Parameter, name: str, setting: Setting, j: int, peaks: FloatArray) -> list[float | None]:
+    """Return the values at which a number is tried; None where its derivative at the model's value tells."""
+    if p.spectral:
+        return list(peaks)
+    if not p.starts:
+        return [None]
+    chosen = np.unique(np.linspace(0, len(p.starts) - 1, min(len(p.starts), PLACES)).round().astype(int))
+    if CATALOGUE[name].structural and p.neutral == MODEL:
+        unit = float(setting.peak[p.unit][max(j, 0)])
+        return [p.starts[k] * unit for k in chosen]
+    return [float(np.clip(p.starts[k] * p.step * setting.size(p.unit, j), p.low, p.high)) for k in chosen]
+
+
+def peaks_of(q: FloatArray, x: FloatArray) -> FloatArray:
+    """Return the wave numbers [1/rad] at which a torque (T,) over positions (T,) has the highest peaks."""
+    span = float(np.ptp(q))
+    if span <= 0.0:
+        return np.zeros(0)
+    orders = np.arange(RANGE[0], RANGE[1], 1.0 / 6.0) * 2.0 * np.pi / span
+    left = x - np.polyval(np.polyfit(q, x, 3), q)
+    left = np.clip(left, -3.0 * left.std(), 3.0 * left.std())
+    power = np.abs(np.exp(1j * np.outer(orders, q[::3])) @ left[::3])
+    found = []
+    for _ in range(PEAKS):
+        k = int(np.argmax(power))
+        found.append(orders[k])
+        power[max(k - 8, 0) : k + 9] = 0.0
+    return np.array(found)
+
+
+class Screen:
+    """The innovations of a model with its numbers projected out, and what effects do to them."""
+
+    def __init__(self, model: Model, unknown: FloatArray) -> None:
+        """Take a model and the unknown torque (T, J) of a pass that follows every reading."""
+        self.model = model.differentiated()
+        columns = self.model.columns
+        assert columns is not None
+        self._root = np.sqrt(weights(model.e, model.scale, model.data))
+        used = self._root.ravel() > 0
+        self._used = used
+        white = (columns * self._root).reshape(len(columns), -1)[:, used]
+        prior = np.array([1.0 / f.width for f in model.free])
+        x = model.values() - np.array([f.centre for f in model.free])
+        # What is plausible of the numbers stands below the readings as rows of its own.
+        self._basis = np.linalg.qr(np.concatenate([white, np.diag(prior)], axis=1).T)[0]
+        self._extra = len(prior)
+        y = np.concatenate([(np.nan_to_num(model.e) * self._root).ravel()[used], prior * x])
+        self._left = self._without(y[None])[0]
+        read = np.nan_to_num(model.data.record.y)
+        self._peaks = [peaks_of(read[:, j], unknown[:, j]) for j in range(model.data.joints)]
+
+    def _without(self, rows: FloatArray) -> FloatArray:
+        return rows - (rows @ self._basis) @ self._basis.T
+
+    def _whitened(self, change: FloatArray) -> FloatArray:
+        row = (np.nan_to_num(change) * self._root).ravel()[self._used]
+        return np.concatenate([row, np.zeros(self._extra)])
+
+    def run(self, names: Sequence[str]) -> list[Found]:
+        """Return what each effect would gain in each joint alone and in all together, best first."""
+        jobs = [job for name in names for job in self._jobs(name)]
+        gains = self.model.setting.gains.of(self.model.unknown)
+        made = iter(self._run(jobs, gains))
+        best: dict[str, dict[int, tuple[float, Place]]] = {}
+        for name, joints, places, own in jobs:
+            changes = [next(made) for _ in own]
+            for j in joints:
+                found = self._judged(name, j, places[j], changes)
+                if found is not None and found[0] > best.setdefault(name, {}).get(j, (0.0,))[0]:
+                    best[name][j] = found
+        out = [self._together(name, group, own) for name, own in best.items() for group in _groups(name, own, self)]
+        return sorted((f for f in out if f.gain > 0.0), key=lambda f: -f.gain)
+
+    def _run(self, jobs: Sequence[tuple], gains: FloatArray) -> list[FloatArray]:  # type: ignore[type-arg]
+        """Return what each table of each job does to the innovations: in short steps where there are thresholds."""
+        out: list[FloatArray] = []
+        run = self.model.setting.passes.run
+        (still,) = run([self.model.table], [gains], 2.0 * STEP)
+        for name, _, _, tables in jobs:
+            fine = CATALOGUE[name].structural
+            made = run(tables, [gains] * len(tables), STEP if fine else 2.0 * STEP)
+            out += [e - (self.model.e if fine else still) for e in made]
+        return out
+
+    def _jobs(self, name: str) -> list[tuple]:  # type: ignore[type-arg]
+        """Return for each place of an effect the joints that share a pass, their values, and the tables to pass."""
+        spec, machine, setting = CATALOGUE[name], self.model.data.machine, self.model.setting
+        taken = {j for n, joints in self.model.effects if n == name for j in joints}
+        if spec.scope == "machine":
+            rounds = [] if taken else [[-1]]
+        else:
+            place = np.asarray(machine.place)
+            free = [j for j in range(len(place)) if j not in taken and (machine.last[j] or not spec.tip)]
+            rounds = [[j for j in free if place[j] == k] for k in sorted({int(place[j]) for j in free})]
+        jobs = []
+        for joints in rounds:
+            axes = {j: [starts_of(p, name, setting, j, self._peaks[max(j, 0)]) for p in wanted(name)] for j in joints}
+            grids = {j: list(itertools.product(*a)) for j, a in axes.items()}
+            for k in range(max(len(g) for g in grids.values())):
+                here = [j for j in joints if k < len(grids[j])]
+                places = {j: self._place(name, j, grids[j][k]) for j in here}
+                columns = max(len(p.moved) for p in places.values())
+                tables = [self._table(name, places, c) for c in range(columns)]
+                jobs.append((name, here, places, tables))
+        return jobs
+
+    def _place(self, name: str, j: int, start: tuple[float | None, ...]) -> Place:
+        setting, values, alone, together = self.model.setting, {}, [], []
+        for p, value in zip(wanted(name), start, strict=True):
+            own = float(self.model.table[ROW[name, p.name], max(j, 0)])
+            if value is not None:
+                values[p.name] = value
+                if not p.shape:
+                    together.append(p.name)
+            elif p.shape:
+                values[p.name] = own
+            else:
+                by = setting.difference((name, p.name), j)
+                x = to_fit(p, own)
+                moved = from_fit(p, x + by)
+                values[p.name] = moved if moved != own else from_fit(p, x - by)
+                alone.append((p.name,))
+        moved = ((tuple(together),) if together else ()) + tuple(alone)
+        return Place(values=values, moved=moved, columns=np.zeros((0, 0)))
+
+    def _table(self, name: str, places: Mapping[int, Place], column: int) -> FloatArray:
+        table = self.model.table.copy()
+        for j, place in places.items():
+            where = slice(None) if j < 0 else j
+            for p in wanted(name):
+                if p.shape or p.name in place.moved[column]:
+                    table[ROW[name, p.name], where] = place.values[p.name]
+        return table
+
+    def _judged(self, name: str, j: int, place: Place, changes: list[FloatArray]) -> tuple[float, Place] | None:
+        chain = np.asarray(self.model.data.machine.chain)
+        own = np.ones(len(chain), dtype=bool) if j < 0 else chain == chain[j]
+        rows = np.stack([self._whitened(np.where(own, c, 0.0)) for c in changes])
+        if not np.isfinite(rows).all() or np.abs(rows).max() > 1e6:
+            return None
+        made = replace(place, columns=self._without(rows))
+        steps, gain = self._step(made.columns)
+        if any(s < 0.0 and self._one_sided(name, m) for s, m in zip(steps, made.moved, strict=True)):
+            return None
+        return gain, made
+
+    def _one_sided(self, name: str, moved: tuple[str, ...]) -> bool:
+        """Return whether numbers have only one side of the model's value."""
+        for p in wanted(name):
+            value = float(self.model.setting.blank[ROW[name, p.name]].flat[0])
+            if p.name in moved and (value in (p.low, p.high) or (p.neutral == MODEL and CATALOGUE[name].structural)):
+                return True
+        return False
+
+    def _step(self, columns: FloatArray) -> tuple[FloatArray, float]:
+        square = columns @ columns.T
+        square += 1e-9 * np.trace(square) * np.eye(len(square)) + 1e-12 * np.eye(len(square))
+        step = -np.linalg.solve(square, columns @ self._left)
+        left = self._left + step @ columns
+        return step, 0.5 * float(self._left @ self._left - left @ left)
+
+    def _together(self, name: str, group: tuple[int, ...], own: Mapping[int, tuple[float, Place]]) -> Found:
+        places = [own[j][1] for j in group]
+        steps, gain = self._step(np.concatenate([p.columns for p in places]))
+        values, at = list[Mapping[str, float]](), 0
+        for j, place in zip(group, places, strict=True):
+            made = dict(place.values)
+            for moved in place.moved:
+                for parameter in moved:
+                    made[parameter] = self._scaled(name, parameter, j, made[parameter], float(steps[at]))
+                at += 1
+            values.append(made)
+        return Found(
+            name=name,
+            joints=group,
+            values=tuple(values),
+            tried=tuple(p.values for p in places),
+            gain=gain,
+            numbers=len(wanted(name)) * len(group),
+        )
+
+    def _scaled(self, name: str, parameter: str, j: int, value: float, by: float) -> float:
+        """Return where a linear step ends that scales the way from the model's value to where an effect was tried."""
+        p = CATALOGUE[name].parameter(parameter)
+        if CATALOGUE[name].structural and p.neutral == MODEL:
+            return value
+        own = to_fit(p, float(self.model.table[ROW[name, parameter], max(j, 0)]))
+        low = 1.0 / REACH if p.starts else -20.0 * REACH
+        high = REACH if p.starts else 20.0 * REACH
+        return from_fit(p, own + float(np.clip(by, low, high)) * (to_fit(p, value) - own))
+
+
+def _groups(name: str, own: Mapping[int, tuple[float, Place]], screen: Screen) -> list[tuple[int, ...]]:
+    """Return the joints in which an effect is tried: each alone and all together; whole chains where they share it."""
+    chain = np.asarray(screen.model.data.machine.chain)
+    every = tuple(sorted(own))
+    if not every:
+        return []
+    if CATALOGUE[name].chain_shared and CATALOGUE[name].scope == "joint":
+        groups = {tuple(j for j in every if chain[j] == chain[i]) for i in every}
+        return sorted(groups | {every})
+    return sorted({(j,) for j in every} | {every})
+
+
+def with_effect(model: Model, found: Found) -> Model:
+    """Return a model with an effect, not yet fitted: where it was tried, at the numbers of a screen or nearer to none,
+    whichever is best.
+    """
+    starts = [(found.values, share) for share in NEARER] + [(found.tried, 1.0)]
+    tried = [_at(model, found, values, share).evaluated() for values, share in starts]
+    return min(tried, key=lambda m: m.cost)
+
+
+def _at(model: Model, found: Found, numbers: Sequence[Mapping[str, float]], share: float) -> Model:
+    table, keys = model.table.copy(), []
+    for j, values in zip(found.joints, numbers, strict=True):
+        where = slice(None) if j < 0 else j
+        for parameter, value in values.items():
+            p, row = CATALOGUE[found.name].parameter(parameter), ROW[found.name, parameter]
+            own = to_fit(p, float(model.table[row, max(j, 0)]))
+            part = 1.0 if p.shape or p.neutral == MODEL else share
+            table[row, where] = from_fit(p, own + part * (to_fit(p, value) - own))
+            width, centre = model.setting.width((found.name, parameter), j)
+            keys.append(Free((found.name, parameter), j, width, centre))
+    new = {(f.key, f.joint) for f in keys}
+    kept = tuple(f for f in model.free if (f.key, f.joint) not in new)
+    return replace(
+        model,
+        free=(*kept, *keys),
+        table=table,
+        effects=(*model.effects, (found.name, found.joints)),
+        columns=None,
+        e=np.zeros((0, 0)),
+    )

@@ -1,0 +1,337 @@
+"""Which effects a machine has: fits of the best of a screen, forwards and backwards, by one score.
+
+The score is the log density of blocks that were left out, less a price for each number that the logs determine. An
+effect is named if it beats what an unknown torque says without it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import wilcoxon
+
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.records import FloatArray
+from mimic.sysid.innovations.data import Data
+from mimic.sysid.innovations.laws import ROW
+from mimic.sysid.innovations.model import Free, Model, Setting, setting_of
+from mimic.sysid.innovations.screen import Found, Screen, applicable, wanted, with_effect
+
+FARTHEST = 3.0
+"""Standard deviations of a drawing's tolerance beyond which a number is no error of the drawing."""
+
+PRICE = 8.0
+"""Nats of held-out log density that a number must gain: more than BIC's half log of 14,400 readings, 4.8."""
+
+LEAST = 15.0
+"""Nats by which a model must be better than the one before: odds of three million to one, over hundreds that are
+tried."""
+
+SURE = 0.01
+"""Probability by Wilcoxon's test over blocks that a better model is none."""
+
+WIDTH = 6
+"""Candidates of a screen that are fitted; the right effect was first in 54 of 56 logs (design notes)."""
+
+SETS = 2
+"""Sets of joints of one effect among them."""
+
+HOPELESS = 0.25
+"""Share of the best candidate's gain below which another is not fitted to the end."""
+
+STAGES = 4
+"""Most effects."""
+
+MATERIAL = 0.02
+"""Share of the whole gain below which an effect is not worth a name."""
+
+NOISY = 1.03
+"""Plain replay over the noise in all joints below which nothing is looked for."""
+
+EXPLAINED = 1.5
+"""The same up to which what was found explains a machine."""
+
+MOST = 0.9
+"""Or share of the squared error beyond the noise that it must remove."""
+
+TIED = 6.0
+"""Nats up to which two explanations are not told apart: odds of 400 to one."""
+
+FOLLOWING = 0.1
+"""Unknown torque of a pass that follows every reading, as a share of the torque of a joint."""
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scored:
+    """A model and its score."""
+
+    model: Model
+    blocks: FloatArray
+    """Held-out log density of each block (B,)."""
+    score: float
+    rough: bool = False
+    """Not fitted to the end."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """What a search found."""
+
+    null: Scored
+    """The baseline alone."""
+    best: Scored
+    ties: tuple[tuple[str, float], ...]
+    """Other explanations that the logs do not tell from it, and by how much they are worse [nats]."""
+    before: FloatArray
+    """Plain replay of the baseline, each fold fitted without it: root mean square of each joint (J,)."""
+    after: FloatArray
+    """Of what was found (J,)."""
+    noise: FloatArray
+    """What is left at readings that follow each other (J,)."""
+    explained: bool
+    """Whether what was found explains the machine; else its names are of what helps, and the rest is unknown torque."""
+    seconds: float
+    """Of the processor."""
+    passes: int
+
+
+def baseline(setting: Setting, names: Sequence[str], threads: int = 1) -> Model:
+    """Return the baseline: its effects free, and what a drawing leaves open within its tolerance."""
+    free = []
+    for name in names:
+        for p in wanted(name):
+            for j in _places(setting.data, name):
+                free.append(Free((name, p.name), j, *setting.width((name, p.name), j)))
+    for e in CATALOGUE.values():
+        for p in e.parameters:
+            if p.tolerance and e.name not in names:
+                free += _within(setting, (e.name, p.name), p.tolerance)
+    return Model(
+        setting=setting,
+        free=tuple(free),
+        table=setting.blank.copy(),
+        unknown=0.03 * setting.gains.torque,
+    )
+
+
+def _places(data: Data, name: str) -> list[int]:
+    return [-1] if CATALOGUE[name].scope == "machine" else list(range(data.joints))
+
+
+def _within(setting: Setting, key: tuple[str, str], tolerance: float) -> list[Free]:
+    """Return a number of all joints that may differ from a drawing by its tolerance."""
+    if (setting.data.record.volts > 0.0).any():
+        return []
+    length = np.linalg.norm(setting.data.tree.tip, axis=1)
+    own = setting.blank[ROW[key]]
+    of = length if CATALOGUE[key[0]].parameter(key[1]).unit == "m" else own
+    return [
+        Free(key, j, tolerance * float(of[j]), float(own[j]), FARTHEST * tolerance * float(of[j]))
+        for j in range(len(own))
+        if of[j] > 0.0
+    ]
+
+
+def scored(model: Model) -> Scored:
+    """Return a fitted model with its score."""
+    model = _pruned(model).differentiated()
+    blocks = model.held_out()
+    x = model.values()
+    return Scored(
+        model=model, blocks=blocks, score=float(blocks.sum()) - model.implausible(x) - PRICE * model.numbers()
+    )
+
+
+def _pruned(model: Model) -> Model:
+    """Return a model without the numbers that ended at a bound that means none."""
+    kept = []
+    for f in model.free:
+        p = CATALOGUE[f.key[0]].parameter(f.key[1])
+        value = model.table[ROW[f.key], max(f.joint, 0)]
+        if not (p.inverse and value >= p.high):
+            kept.append(f)
+    return model if len(kept) == len(model.free) else replace(model, free=tuple(kept), columns=None)
+
+
+def spread(model: Model, e: FloatArray | None = None) -> FloatArray:
+    """Return the root mean square in each joint (J,) of innovations (T, J), by default the model's."""
+    e = np.where(model.data.counts, np.nan_to_num(model.e if e is None else e), 0.0)
+    return np.sqrt((e**2).sum(0) / np.maximum(model.data.counts.sum(0), 1))
+
+
+def noise_of(model: Model) -> FloatArray:
+    """Return what readings that follow each other leave in each joint (J,)."""
+    usual = np.sqrt(np.average(model.scale**2, axis=0, weights=np.bincount(model.data.record.log)))
+    return np.minimum(spread(model), 1.1 * usual)
+
+
+def search(
+    data: Data,
+    names: Sequence[str],
+    effects: Sequence[str] = (),
+    threads: int = 1,
+    report: Report | None = None,
+) -> Outcome:
+    """Find the effects that a machine has beside its baseline.
+
+    Args:
+        data: Logs.
+        names: Effects of the baseline.
+        effects: Those to look for; all that the machine may have by default.
+        threads: Passes at the same time.
+        report: Told what is being done.
+    """
+    began, say = time.process_time(), report or (lambda text: None)
+    say("fitting the baseline")
+    null = _baseline(data, names, threads)
+    effects = tuple(effects) or applicable(null.model.setting, names)
+    best, others = null, list[Scored]()
+    for _ in range(STAGES):
+        plain = spread(best.model.without_unknown()) / noise_of(best.model)
+        say(_line(best, null, plain))
+        if plain.max() < NOISY:
+            break
+        found = stage_of(best, effects, say)
+        if not found:
+            break
+        first = found[0]
+        if not better(first, best):
+            break
+        best, others = first, found[1:]
+    best, dropped = backwards(best, null, say)
+    ties = [(describe(o.model), best.score - o.score) for o in [*others, *dropped] if best.score - o.score < TIED]
+    plain = [one.model.without_unknown().differentiated() for one in (null, best)]
+    before, after = (spread(one, one.left_out()) for one in plain)
+    noise = noise_of(best.model)
+    left = float((np.maximum(after**2 - noise**2, 0.0) / noise**2).sum())
+    first = float((np.maximum(before**2 - noise**2, 0.0) / noise**2).sum())
+    return Outcome(
+        null=null,
+        best=best,
+        ties=tuple(ties),
+        before=before,
+        after=after,
+        noise=noise,
+        explained=bool((after / noise).max() < EXPLAINED or left < (1.0 - MOST) * first),
+        seconds=time.process_time() - began,
+        passes=null.model.setting.passes.count,
+    )
+
+
+def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
+    """Return the baseline at the sending times that explain the logs best."""
+    best: Scored | None = None
+    for times in data.sending:
+        setting = setting_of(data.sent_at(times), threads)
+        model = baseline(setting, names).settled(1, 4)
+        if best is None or model.cost < best.model.cost - LEAST:
+            best = Scored(model=model, blocks=np.zeros(0), score=0.0)
+    assert best is not None
+    return scored(best.model.settled(3, 6).elsewhere())
+
+
+def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
+    """Return models with one effect more, best first."""
+    model = now.model
+    strong = np.maximum(model.unknown, FOLLOWING * model.setting.gains.torque)
+    unknown = model.setting.passes.whole([model.table], [model.setting.gains.of(strong)])[0][1]
+    ranked = Screen(model, unknown).run(effects)
+    made: list[Scored] = []
+    tried: dict[str, int] = {}
+    most = 0.0
+    for one in sorted(ranked, key=lambda f: PRICE * f.numbers - f.gain):
+        paid = one.gain - PRICE * one.numbers
+        if len(made) >= WIDTH or paid < max(LEAST, HOPELESS * most):
+            break
+        most = max(most, paid)
+        if tried.get(one.name, 0) >= SETS:
+            continue
+        tried[one.name] = tried.get(one.name, 0) + 1
+        made.append(_fitted(now, one, made))
+        say(f"    {describe(made[-1].model)}: screen {one.gain:.0f}, score {made[-1].score - now.score:+.1f}")
+    made.sort(key=lambda s: -s.score)
+    for k, one in enumerate(made[:2]):
+        if not one.rough or k == 0:
+            made[k] = scored(one.model.settled(2, 4).elsewhere())
+    return sorted(made, key=lambda s: -s.score)
+
+
+def _fitted(now: Scored, one: Found, made: Sequence[Scored]) -> Scored:
+    model = with_effect(now.model, one).fitted(4)
+    gained = now.model.cost - model.cost
+    most = max((now.model.cost - m.model.cost for m in made), default=0.0)
+    if gained < HOPELESS * most:
+        blocks = now.blocks + gained / len(now.blocks)
+        return Scored(model=model, blocks=blocks, score=now.score + gained - PRICE * one.numbers, rough=True)
+    return scored(model.settled(3, 5))
+
+
+def better(new: Scored, old: Scored) -> bool:
+    """Return whether a model is better for sure."""
+    if new.score - old.score < LEAST:
+        return False
+    return float(wilcoxon(new.blocks - old.blocks, alternative="greater").pvalue) < SURE
+
+
+def backwards(best: Scored, null: Scored, say: Report) -> tuple[Scored, list[Scored]]:
+    """Return the model without the effects, or joints of them, that do not pay, and the last models tried."""
+    tried: list[Scored] = []
+    while best.model.effects:
+        tried = [scored(without(best.model, null.model, *one).settled(3, 5)) for one in _parts(best.model)]
+        if not tried:
+            break
+        first = max(tried, key=lambda s: s.score)
+        paid = best.score - first.score
+        say(f"  without a part: {describe(first.model)} {-paid:+.1f}")
+        if paid >= max(LEAST, MATERIAL * (best.score - null.score)):
+            break
+        best = first
+    return best, tried
+
+
+def _parts(model: Model) -> list[tuple[str, tuple[int, ...]]]:
+    """Return the effects of a model, and single joints of those that have several, by which it can be smaller."""
+    parts = []
+    for name, joints in model.effects:
+        if len(model.effects) > 1:
+            parts.append((name, joints))
+        if len(joints) > 1:
+            parts += [(name, (j,)) for j in joints]
+    return parts
+
+
+def without(model: Model, null: Model, name: str, joints: tuple[int, ...]) -> Model:
+    """Return a model without an effect in some joints, its numbers as in the baseline."""
+    table = model.table.copy()
+    for p in CATALOGUE[name].parameters:
+        for j in joints:
+            where = slice(None) if j < 0 else j
+            table[ROW[name, p.name], where] = null.table[ROW[name, p.name], where]
+    gone = {((name, p.name), j) for p in CATALOGUE[name].parameters for j in joints}
+    kept = [f for f in model.free if (f.key, f.joint) not in gone]
+    kept += [f for f in null.free if (f.key, f.joint) in gone]
+    effects = []
+    for n, own in model.effects:
+        left = tuple(j for j in own if n != name or j not in joints)
+        if left:
+            effects.append((n, left))
+    return replace(model, table=table, free=tuple(kept), effects=tuple(effects), columns=None, e=np.zeros((0, 0)))
+
+
+def describe(model: Model) -> str:
+    """Return the effects of a model in words."""
+    joints = model.data.machine.joints
+    said = [name + ("" if own == (-1,) else f" ({', '.join(joints[j] for j in own)})") for name, own in model.effects]
+    return " + ".join(said) or "nothing"
+
+
+def _line(best: Scored, null: Scored, plain: FloatArray) -> str:
+    return (
+        f"  {describe(best.model)}: {best.score - null.score:+.1f}, replay over noise {plain.round(2).tolist()}, "
+        f"unknown {best.model.unknown.round(4).tolist()}, {time.process_time():.0f} s"
+    )

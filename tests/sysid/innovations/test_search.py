@@ -1,0 +1,49 @@
+"""Effects hidden in logs that another simulator made are found, and nothing where nothing is hidden."""
+
+import numpy as np
+import pytest
+
+from mimic.dynamics.catalogue import BASELINE
+from mimic.dynamics.effect_set import EffectValues, read_effects, write_effects
+from mimic.sysid.innovations.data import data_of
+from mimic.sysid.innovations.laws import ROW
+from mimic.sysid.innovations.model import setting_of
+from mimic.sysid.innovations.result import dependences, effects_of
+from mimic.sysid.innovations.search import baseline, describe, search
+
+ONE_WAY = EffectValues(name="asymmetric_friction", joints=("a",), values={"level": np.array([0.02])})
+SPRING = EffectValues(name="spring", joints=("a",), values={"stiffness": np.array([0.5])})
+FRICTION = ("stribeck", "asymmetric_friction", "quadratic_drag", "spring")
+
+
+def test_innovations_of_the_true_machine_are_its_noise(pair, log_of):
+    data = data_of([log_of(pair)], pair)
+    model = baseline(setting_of(data), BASELINE).settled(2, 5)
+    np.testing.assert_allclose(model.scale[0], 0.0003, rtol=0.4)
+
+
+def test_nothing_is_found_where_nothing_is_hidden(pair, log_of):
+    outcome = search(data_of([log_of(pair)], pair), BASELINE, FRICTION)
+    assert describe(outcome.best.model) == "nothing"
+    assert outcome.explained
+
+
+@pytest.mark.slow
+def test_a_hidden_effect_is_named_in_its_joint_and_can_be_written(pair, log_of, tmp_path):
+    outcome = search(data_of([log_of(pair, ONE_WAY)], pair), BASELINE, FRICTION)
+    assert describe(outcome.best.model) == "asymmetric_friction (a)"
+    level = outcome.best.model.table[ROW["asymmetric_friction", "level"], 0]
+    assert level == pytest.approx(0.02, rel=0.1)
+    write_effects(effects_of(outcome.best.model), tmp_path / "effects.toml")
+    read = {e.name: e for e in read_effects(tmp_path / "effects.toml")}
+    low, high = read["asymmetric_friction"].intervals["level"][0]
+    assert low < level < high
+
+
+@pytest.mark.slow
+def test_an_unknown_torque_says_that_it_depends_on_position(pair, log_of):
+    data = data_of([log_of(pair, SPRING)], pair)
+    model = baseline(setting_of(data), BASELINE).settled(2, 5)
+    first, second = dependences(model)
+    assert first.on[0][0] == "position"
+    assert first.size > 3 * second.size

@@ -1,0 +1,60 @@
+"""Dynamics of trees against MuJoCo's."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from mimic.dynamics.machine import MachineModel, read_machine
+from mimic.sysid.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed, tree_of
+
+TREE = """<mujoco><compiler angle="radian"/><worldbody>
+<body pos=".1 .2 1" euler=".3 .2 .1"><joint name="a" axis="1 2 0" pos=".01 0 .02" ref=".2"/>
+<inertial pos=".03 .01 -.1" mass="1.2" fullinertia=".01 .02 .015 .001 .002 -.001"/>
+<body pos=".1 0 .2" quat=".8 .6 0 0"><inertial pos="0 .02 0" mass=".3" diaginertia=".001 .002 .001"/>
+<body pos="0 .1 .1"><joint name="b" type="slide" axis="0 1 1"/><joint name="c" axis="1 0 0"/>
+<inertial pos="0 .05 .02" mass=".7" diaginertia=".003 .002 .001"/></body></body>
+<body pos="-.2 0 0"><joint name="d" axis="0 0 1"/><inertial pos=".1 0 0" mass=".4" diaginertia=".001 .001 .001"/>
+</body></body>
+<body pos="0 1 0"><joint name="e" axis="0 1 0"/><inertial pos="0 0 -.1" mass=".5" diaginertia=".001 .001 .001"/></body>
+</worldbody></mujoco>"""
+
+
+def machine_of(text: str, folder: Path) -> MachineModel:
+    path = folder / "machine.xml"
+    path.write_text(text)
+    return read_machine(path)
+
+
+def test_mass_matrix_and_bias_forces_are_those_of_mujoco(tmp_path):
+    machine = machine_of(TREE, tmp_path)
+    tree, n = tree_of(machine), len(machine.joints)
+    joints, shape = packed(tree)
+    one = np.ones(n)
+    links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0 * one, 0 * one)
+    data, rng = mujoco.MjData(machine.model), np.random.default_rng(1)
+    room, mass = np.zeros((n, ROOM)), np.zeros((n, n))
+    for _ in range(20):
+        data.qpos[:] = room[:, AT] = rng.uniform(-2, 2, n)
+        data.qvel[:] = room[:, MOVING] = rng.normal(0, 3, n)
+        mujoco.mj_forward(machine.model, data)
+        dynamics(joints, shape, links, tree.gravity, room, mass)
+        full = np.zeros((n, n))
+        mujoco.mj_fullM(machine.model, data, full)
+        np.testing.assert_allclose(mass, full, atol=1e-9)
+        np.testing.assert_allclose(room[:, BIAS], data.qfrc_bias, atol=1e-9)
+
+
+def test_a_load_at_the_tip_is_a_point_of_that_mass(tmp_path):
+    machine = machine_of(TREE, tmp_path)
+    tree, n = tree_of(machine), len(machine.joints)
+    one, load = np.ones(n), np.eye(n)[n - 1] * 0.2
+    bare, loaded = (
+        links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0 * one, m) for m in (0 * one, load)
+    )
+    added = (loaded - bare)[-1]
+    tip = tree.tip[-1]
+    np.testing.assert_allclose(added[:4], 0.2 * np.array([1.0, *tip]), atol=1e-12)
+    np.testing.assert_allclose(
+        added[4:], 0.2 * (tip @ tip * np.eye(3) - np.outer(tip, tip))[np.triu_indices(3)], atol=1e-12
+    )
