@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mimic.config.play import Solver
 from mimic.geometry import heading_from_quat
 from mimic.policy.contract import AHEAD, FRONT, ObservationBuilder, arm_reference, joint_command
 from mimic.records import JointCommand
