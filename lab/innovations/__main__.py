@@ -20,6 +20,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from lab.innovations.data import Data, data_of
+from lab.innovations.search import Outcome, describe, search
 from lab.real_logs.logs import (
     EMPS_MJCF,
     SERVO_MJCF,
@@ -36,8 +38,6 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog, read_log
 from mimic.sysid.calibrate import OF_VOLTAGE_DRIVES
-from mimic.sysid.innovations.data import Data, data_of
-from mimic.sysid.innovations.search import Outcome, describe, search
 
 BOTH, ELBOW, SHOULDER, ANY = ("shoulder", "elbow"), ("elbow",), ("shoulder",), None
 
@@ -160,7 +160,7 @@ def row(case: Case, outcome: Outcome) -> dict[str, object]:
 
 
 def _keys() -> tuple[tuple[str, str], ...]:
-    from mimic.sysid.innovations.laws import KEYS
+    from lab.innovations.laws import KEYS
 
     return KEYS
 

@@ -135,7 +135,7 @@ class LiveArms:
         self._blend = blend
         self._reach = Reach(description)
         self._begin: FloatArray | None = None
-        self._before = np.zeros(FRONT)
+        self._before: FloatArray = np.zeros(FRONT)
         self._default_q = np.array(contract.default_q[:FRONT])
 
     def at(self, row: int, q: FloatArray, p_BE: FloatArray) -> ArmGoal:

@@ -146,11 +146,13 @@ class LiveMotion:
         if tick < timing.stand:
             return timing.standing_up()
         newest = self._live.newest()
+        command = newest or self._last
         if newest is None:
             self._hold_left -= 1
-            if self._hold_left < 0 or self._last is None:
-                return None
-        command = _held(self._last) if newest is None else newest
+        if command is None or self._hold_left < 0:
+            return None
+        if newest is None:
+            command = _held(command)
         self._last = command
         row = tick - timing.stand - timing.blend
         arms = None if self._arms is None else self._arms.at(row, q, command.p_BE)

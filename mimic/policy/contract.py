@@ -91,8 +91,8 @@ HOW_TO_PLAY = (
     "dt / clock_fade, to 1 at most, if the speed of velocity_command is above walk_speed or |heading_error| above "
     "walk_turn (1 - gait / 2); otherwise it falls by as much, to 0 at least.",
     "A frame is the terms one after another. The observation is the newest `history` frames, oldest first, then the "
-    "terms of `once` as they are now, 32-bit floats; at the first step every frame is the first one. k counts the steps "
-    "from 0.",
+    "terms of `once` as they are now, 32-bit floats; at the first step every frame is the first one. k counts the "
+    "steps from 0.",
     "action = clip(output, -action_clip, action_clip); q_des = clip(default_q + action_scale action, q_min, q_max).",
     "The heading is atan2(-2 (x y - w z), 1 - 2 (x x + z z)): where the belly faces once the robot stands.",
     "Each motor gives kp (q_des - q) - kd dq, at most torque_max; in the direction of motion the limit falls from "

@@ -68,8 +68,8 @@ class ArmTorques:
         xp = self._xp
         down, _ = world_axes_in_base(*(quat_WB[..., i] for i in range(4)))
         upward = -GRAVITY * xp.stack([*down], -1)[..., None, :]  # a base that stands still is held against gravity
-        legs = [value.reshape(*value.shape[:-1], 2, LEG) for value in (q, dq, ddq)]
-        torque = self._held(*legs, upward)
+        a, b, c = (value.reshape(*value.shape[:-1], 2, LEG) for value in (q, dq, ddq))
+        torque = self._held(a, b, c, upward)
         torque = torque.reshape(*torque.shape[:-2], 2 * LEG)
         rubs = self._damping * dq + self._dry * dq / (abs(dq) + FRICTION_SPEED)
         return torque + self._armature * ddq + rubs

@@ -47,7 +47,7 @@ SETTLES = 2.0
 
 
 class ArmSchedule(Chance):
-    """Front legs that go from goal to goal in joint space: each way is a polynomial of fifth degree, at rest at its ends.
+    """Front legs that go from goal to goal in joint space, on polynomials of fifth degree that begin and end at rest.
 
     The goal after the next is known, so that a policy can be told what is to come. Source: Flash and Hogan 1985, "The
     coordination of arm movements" (minimum jerk).

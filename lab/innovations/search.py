@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import wilcoxon
 
+from lab.innovations.data import Data
+from lab.innovations.laws import ROW
+from lab.innovations.model import Free, Model, Setting, setting_of
+from lab.innovations.screen import Found, Screen, applicable, wanted, with_effect
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.records import FloatArray
-from mimic.sysid.innovations.data import Data
-from mimic.sysid.innovations.laws import ROW
-from mimic.sysid.innovations.model import Free, Model, Setting, setting_of
-from mimic.sysid.innovations.screen import Found, Screen, applicable, wanted, with_effect
 
 FARTHEST = 3.0
 """Standard deviations of a drawing's tolerance beyond which a number is no error of the drawing."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
+from lab.innovations.data import Data
 from mimic.records import FloatArray
-from mimic.sysid.innovations.data import Data
 
 FREEDOM = 8.0
 """Degrees of freedom: tails as those of stick and slip, and of single wrong readings. Source: Lange, Little, Taylor

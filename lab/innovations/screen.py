@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lab.innovations.laws import ROW
+from lab.innovations.likelihood import weights
+from lab.innovations.model import STEP, Free, Model, Setting, from_fit, to_fit
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.catalogue.kinds import MODEL, Effect, Parameter
 from mimic.dynamics.law import OF_DRIVES
 from mimic.records import FloatArray
-from mimic.sysid.innovations.laws import ROW
-from mimic.sysid.innovations.likelihood import weights
-from mimic.sysid.innovations.model import STEP, Free, Model, Setting, from_fit, to_fit
 
 PLACES = 4
 """Most places at which a number that has many is tried, from the first to the last."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from lab.innovations.tree import FAST_MATH
 from mimic.dynamics.catalogue import CATALOGUE
-from mimic.sysid.innovations.tree import FAST_MATH
 
 KEYS = tuple((e.name, p.name) for e in CATALOGUE.values() for p in e.parameters)
 """Rows of the table of numbers."""

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from lab.innovations.data import Data
+from lab.innovations.laws import KEYS, ROW
+from lab.innovations.likelihood import DECAY, Gains, misfit, scales, weights
+from lab.innovations.predictor import arrays_of, predict
+from lab.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
 from mimic.dynamics.catalogue import CATALOGUE, scale_of
 from mimic.dynamics.catalogue.kinds import MODEL, Parameter
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.innovations.data import Data
-from mimic.sysid.innovations.laws import KEYS, ROW
-from mimic.sysid.innovations.likelihood import DECAY, Gains, misfit, scales, weights
-from mimic.sysid.innovations.predictor import arrays_of, predict
-from mimic.sysid.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
 from mimic.sysid.log.noise import SMOOTH
 
 STEP = 1.25e-3

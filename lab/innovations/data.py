@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lab.innovations.predictor import Record
+from lab.innovations.tree import Tree, tree_of
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.innovations.predictor import Record
-from mimic.sysid.innovations.tree import Tree, tree_of
 from mimic.sysid.log.noise import coarse_steps, noise_floor
 from mimic.sysid.log.pool import VOLTAGE, Pool, enabled, pool, rows_of, valid_samples
 from mimic.sysid.log.timing import SendingTimes, at_rows

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lab.innovations.laws import ROW
+from lab.innovations.model import Free, Key, Model, from_fit
+from lab.innovations.search import FOLLOWING
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.records import FloatArray
-from mimic.sysid.innovations.laws import ROW
-from mimic.sysid.innovations.model import Free, Key, Model, from_fit
-from mimic.sysid.innovations.search import FOLLOWING
 
 BINS = 12
 """Equal shares of the readings over which a torque is averaged: few enough that each holds a whole motion."""

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.innovations.laws import (
+from lab.innovations.laws import (
     CHANGE,
     DELAY,
     DROP,
@@ -46,7 +45,7 @@ from mimic.sysid.innovations.laws import (
     resisting,
     unread,
 )
-from mimic.sysid.innovations.tree import (
+from lab.innovations.tree import (
     AT,
     BIAS,
     END,
@@ -60,6 +59,7 @@ from mimic.sysid.innovations.tree import (
     links_of,
     packed,
 )
+from mimic.records import BoolArray, FloatArray, IntArray
 
 LOST = 1e3
 """What a pass says where the machine flew apart: speeds beyond it, and predictions from there on [rad/s, rad]."""
