@@ -65,6 +65,7 @@ class ResumableRunner(OnPolicyRunner):
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """Write a checkpoint."""
+        assert isinstance(self.logger, QuietLogger)
         more = {"updates": self.current_learning_iteration + 1, "elapsed_s": self.logger.elapsed, **self.told()}
         super().save(path, (infos or {}) | more)
 

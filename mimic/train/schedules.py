@@ -110,7 +110,8 @@ class ArmSchedule(Chance):
         stays = self._rand(2) < self._hold_share
         goal = torch.where(stays[..., None], start, goal)
         way = (goal - start).abs().amax((-1, -2))
-        speed = torch.exp(self._uniform(*(math.log(v) for v in ARM_SPEED)))
+        slowest, fastest = ARM_SPEED
+        speed = torch.exp(self._uniform(math.log(slowest), math.log(fastest)))
         moving = (PEAK * way / speed).clamp(min=SHORTEST_WAY)
         return goal, torch.where(way > 0.0, moving, self._uniform(SHORTEST_WAY, LONGEST_HOLD))
 

@@ -82,8 +82,10 @@ BEARS = 0.2
 
 def kept_tensors(value: Any) -> dict[Any, torch.Tensor]:
     """Return the tensors of an attribute that have memory of their own."""
-    items = value if isinstance(value, dict) else dict(enumerate(value if isinstance(value, list | tuple) else [value]))
-    return {key: t for key, t in items.items() if isinstance(t, torch.Tensor) and 0 not in t.stride()}
+    if not isinstance(value, dict):
+        several: Any = value if isinstance(value, (list, tuple)) else [value]
+        value = dict(enumerate(several))
+    return {key: t for key, t in value.items() if isinstance(t, torch.Tensor) and 0 not in t.stride()}
 
 
 Judged = tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]

@@ -212,7 +212,7 @@ def _misfit(error: UnexpectedInput, text: str) -> str:
         return f"'{text}' lacks something behind {text.split()[-1]!r}: a verb such as {VERBS_SAID}, a time, or a unit"
     words = text[: token.start_pos].split()
     said = [words.pop()] if words and _is_number(words[-1]) else []
-    said += text[token.start_pos :].split()[:2] if token == "ing" else [token.strip()]
+    said += text[token.start_pos :].split()[:2] if str(token) == "ing" else [token.strip()]
     where = f"behind '{' '.join(words)}'" if words else "at the beginning"
     return f"'{' '.join(said)}' {where} is not something the phrasebook understands; say it in parts, joined by 'then'"
 
