@@ -39,7 +39,11 @@ class Safety:
     recorder: RunRecorder | None = None
     """Where every tick goes at once."""
     ramp: float = 2.0
-    """Time in which gains rise and the joints come into the lying pose [s]; 0 for a plant that starts in it."""
+    """Time in which gains rise and the joints come into the crouch [s]; 0 for a plant that starts in it."""
+    tested: bool = True
+    """Whether each joint then moves by itself, to show that legs and IMU are what the wiring says."""
+    checked: bool = True
+    """Whether a robot that is not in the crouch after that is damped."""
     endless: bool = False
     """Whether the last command is held until something ends the run."""
     damp_at_end: bool = True

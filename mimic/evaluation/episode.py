@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 from mimic.config.evaluation import EpisodeSettings
 from mimic.config.play import AS_DESCRIBED, NO_DISTURBANCE, Disturbance, EffectsSettings, Randomisation, RunSettings
@@ -19,12 +21,17 @@ from mimic.control.supervisor import Supervisor
 from mimic.control.tick import Safety
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import Policy, cached_policy
-from mimic.records import CommandTrack
+from mimic.records import PHASES, BoolArray, CommandTrack
+from mimic.records.base import Record
 from mimic.robot.description import RobotDescription
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 J = TypeVar("J")
 R = TypeVar("R")
+L = TypeVar("L", bound=Record)
+
+RAMP = 2.0
+"""Time from lying without power to where the policy begins [s]; not in the logs, whose times begin after it."""
 
 TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0)
 """One second to stand up, as in the paper, then half a second to the first goal."""
@@ -49,7 +56,7 @@ class Job:
 
     def plant(self, description: RobotDescription, **options: Any) -> SimulatedPlant:
         """Return the robot, with further options of a `SimulatedPlant`."""
-        given: dict[str, Any] = {"samples": False, **plant_options(self.robot), **options}
+        given: dict[str, Any] = {"samples": False, "begin": -RAMP, **plant_options(self.robot), **options}
         return SimulatedPlant(description, ranges=self.ranges, seed=self.seed, disturbance=self.disturbance, **given)
 
 
@@ -95,13 +102,27 @@ def play_episode(
     """
     rules: tuple[Rule, ...] = TRACKING_RULES if sit_down is None else SIT_DOWN_RULES
     supervisor = Supervisor(plant.description, rules=rules)
-    safety = Safety(supervisor=supervisor, ramp=0.0, damp_at_end=False)
+    safety = Safety(supervisor=supervisor, ramp=RAMP, tested=False, checked=False, damp_at_end=False)
     result = run_policy(plant, policy, track, settings, sit_down=sit_down, safety=safety)
     if result.error is not None:
         raise result.error
     if result.interrupted:
         raise KeyboardInterrupt
-    return result
+    return without_start(result)
+
+
+def without_start(result: RunResult) -> RunResult:
+    """Return a run from where its policy begins."""
+    log, samples = result.log, result.samples
+    rows = log.phase != PHASES.index("lie")
+    if samples is not None:
+        samples = _of_rows(samples, samples.t > 0.0)
+    return replace(result, log=_of_rows(log, rows), health=_of_rows(result.health, rows), samples=samples)
+
+
+def _of_rows(record: L, rows: BoolArray) -> L:
+    columns = {f.name: getattr(record, f.name)[rows] for f in fields(record) if f.metadata.get("axes") is not None}
+    return replace(record, **columns)
 
 
 def play_all(
