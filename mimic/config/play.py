@@ -11,6 +11,9 @@ from mimic.config.ranges import check_range
 DEFAULT_ROBOT = "cyberdog2"
 """The robot where none is named."""
 
+RAMP = 2.0
+"""Time in which a robot that lies without power is brought into the crouch, where its policy begins [s]."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunSettings:

@@ -77,7 +77,9 @@ def _mistakes() -> Iterator[Mistake]:
     yield Mistake(text="", order=joints, sign=plus)
     for joint, name in enumerate(JOINTS):
         yield Mistake(text=f"the sign of {name} is wrong", order=joints, sign=np.where(joints == joint, -1.0, 1.0))
-    swaps = {f"the motors {JOINTS[a]} and {JOINTS[b]}": [(a, b)] for a, b in combinations(joints, 2) if a // 3 == b // 3}
+    swaps = {
+        f"the motors {JOINTS[a]} and {JOINTS[b]}": [(a, b)] for a, b in combinations(joints, 2) if a // 3 == b // 3
+    }
     for (a, one), (b, other) in combinations(enumerate(LEGS), 2):
         swaps[f"the legs {one} and {other}"] = [(3 * a + i, 3 * b + i) for i in range(3)]
     for text, pairs in swaps.items():
@@ -88,7 +90,7 @@ def _mistakes() -> Iterator[Mistake]:
 
 
 def ground_normal(q: FloatArray, description: RobotDescription) -> FloatArray:
-    """Return x and y of up by the legs (..., 2), base axes, for joints (..., 12) [rad]: of the plane nearest to the feet."""
+    """Return x and y of up by the legs (..., 2), base axes: of the plane nearest to the feet, joints (..., 12) [rad]."""
     toes = all_toes(q, description)
     away = toes - toes.mean(axis=-2, keepdims=True)
     x, y, z = np.moveaxis(away, -1, 0)
@@ -152,7 +154,9 @@ class JointTest:
 
 def _unexplained(answers: Sequence[Answer]) -> str:
     """Return the joint whose tilt is least like what the legs say, where that is too little."""
-    share = [answer.left[0] / max(np.square(answer.tilted).sum(), np.square(answer.expected).sum()) for answer in answers]
+    share = [
+        answer.left[0] / max(np.square(answer.tilted).sum(), np.square(answer.expected).sum()) for answer in answers
+    ]
     worst = int(np.argmax(share))
     if share[worst] < UNEXPLAINED:
         return ""
@@ -160,7 +164,7 @@ def _unexplained(answers: Sequence[Answer]) -> str:
         np.rad2deg(np.linalg.norm(np.ptp(rows, axis=0))) for rows in (answers[worst].tilted, answers[worst].expected)
     )
     return (
-        f"{JOINTS[worst]} moves, and the trunk does not tilt as it should ({by_imu:.1f} deg by the IMU, {by_legs:.1f} deg "
+        f"{JOINTS[worst]} moves, and the trunk does not tilt as it should ({by_imu:.1f} deg by the IMU, {by_legs:.1f} "
         "by the legs); does every foot touch the ground, and are its motor and the IMU where the wiring says?"
     )
 

@@ -97,7 +97,9 @@ def not_crouched(state: RobotState, description: RobotDescription) -> str:
             f"{np.rad2deg(limits.joints):.0f} may be; is it free to move, and the battery full?"
         )
     if state.p_WB[2] < limits.height:
-        return f"its base is {100 * state.p_WB[2]:.1f} cm high in the crouch, at least {100 * limits.height:.1f} must be"
+        return (
+            f"its base is {100 * state.p_WB[2]:.1f} cm high in the crouch, at least {100 * limits.height:.1f} must be"
+        )
     up = rotation_from_quat(state.quat_WB)[2]
     tilt = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
     if tilt > limits.tilt:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.play import RAMP
 from mimic.control.arms import ArmGoal
 from mimic.control.dropouts import DropoutFilter
 from mimic.control.limits import clamp_command, clamp_desired
@@ -38,7 +39,7 @@ class Safety:
     """Requests to end, counted by whoever catches the signals."""
     recorder: RunRecorder | None = None
     """Where every tick goes at once."""
-    ramp: float = 2.0
+    ramp: float = RAMP
     """Time in which gains rise and the joints come into the crouch [s]; 0 for a plant that starts in it."""
     tested: bool = True
     """Whether each joint then moves by itself, to show that legs and IMU are what the wiring says."""

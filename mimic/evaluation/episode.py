@@ -8,10 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from mimic.config.evaluation import EpisodeSettings
-from mimic.config.play import AS_DESCRIBED, NO_DISTURBANCE, Disturbance, EffectsSettings, Randomisation, RunSettings
+from mimic.config.play import (
+    AS_DESCRIBED,
+    NO_DISTURBANCE,
+    RAMP,
+    Disturbance,
+    EffectsSettings,
+    Randomisation,
+    RunSettings,
+)
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
 from mimic.control.safety_limits import Limits
@@ -30,11 +36,8 @@ J = TypeVar("J")
 R = TypeVar("R")
 L = TypeVar("L", bound=Record)
 
-RAMP = 2.0
-"""Time from lying without power to where the policy begins [s]; not in the logs, whose times begin after it."""
-
 TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0)
-"""One second to stand up, as in the paper, then half a second to the first goal."""
+"""One second to stand up, as in the paper, then half a second to the first goal. Logs begin where the policy does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,13 +105,17 @@ def play_episode(
     """
     rules: tuple[Rule, ...] = TRACKING_RULES if sit_down is None else SIT_DOWN_RULES
     supervisor = Supervisor(plant.description, rules=rules)
-    safety = Safety(supervisor=supervisor, ramp=RAMP, tested=False, checked=False, damp_at_end=False)
-    result = run_policy(plant, policy, track, settings, sit_down=sit_down, safety=safety)
+    result = run_policy(plant, policy, track, settings, sit_down=sit_down, safety=of_episode(supervisor))
     if result.error is not None:
         raise result.error
     if result.interrupted:
         raise KeyboardInterrupt
     return without_start(result)
+
+
+def of_episode(supervisor: Supervisor) -> Safety:
+    """Return the supervision of an episode: a robot that a policy may not begin with is judged like any other."""
+    return Safety(supervisor=supervisor, tested=False, checked=False, damp_at_end=False)
 
 
 def without_start(result: RunResult) -> RunResult:

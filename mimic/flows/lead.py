@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mimic.config.leading import HandSettings, LeadingSettings
-from mimic.config.play import AS_DESCRIBED, EffectsSettings
+from mimic.config.play import AS_DESCRIBED, RAMP, EffectsSettings
 from mimic.errors import MimicError
 from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -65,7 +65,6 @@ def lead(
         NoViewer: If there is no display for the viewer.
         NoOffscreenGL: If there is no off-screen rendering for the film.
     """
-    from mimic.evaluation.episode import RAMP
     from mimic.evaluation.leading import lead_robot
     from mimic.evaluation.led_by_hand import lead_figures
     from mimic.policy.runtime import load_policy

@@ -61,7 +61,7 @@ def test_until_it_is_released_somebody_holds_it(description):
     before = joints(made)[:, 0]
     made.advance(1.0)
     assert np.array_equal(joints(made)[:, 0], before)
-    assert 0.03 < np.abs(before - description.poses["lie"]).max() <= 0.11
+    assert 0.3 < np.abs(before - description.poses["lie"]).max() < 0.4, "it has sunk from its folded legs"
     made.release()
     made.advance(2.0)
     assert np.abs(joints(made)[:, 0] - before).max() > 0.2, "free motors do not carry it"
