@@ -90,7 +90,7 @@ def _mistakes() -> Iterator[Mistake]:
 
 
 def ground_normal(q: FloatArray, description: RobotDescription) -> FloatArray:
-    """Return x and y of up by the legs (..., 2), base axes: of the plane nearest to the feet, joints (..., 12) [rad]."""
+    """Return x and y of up by the legs (..., 2), base axes: of the plane nearest to the feet; q (..., 12)."""
     toes = all_toes(q, description)
     away = toes - toes.mean(axis=-2, keepdims=True)
     x, y, z = np.moveaxis(away, -1, 0)
@@ -104,7 +104,9 @@ class JointTest:
 
     def __init__(self, description: RobotDescription) -> None:
         self._description = d = description
-        self._lie, self._mistakes = d.poses["lie"], tuple(_mistakes())
+        self._lie = d.poses["lie"]
+        self.mistakes = tuple(_mistakes())
+        """What is looked for; the first one is none."""
         steps = STEP * np.eye(len(JOINTS))
         tilts = (ground_normal(self._lie + steps, d) - ground_normal(self._lie - steps, d)) / (2.0 * STEP)
         heights = (all_toes(self._lie + steps, d) - all_toes(self._lie - steps, d))[..., 2].sum(axis=-1)
@@ -138,18 +140,18 @@ class JointTest:
 
     def _placed(self, q: FloatArray) -> FloatArray:
         """Return where the joints (..., 12) are if it were each of the mistakes (M, ..., 12) [rad]."""
-        placed = np.broadcast_to(self._lie, (len(self._mistakes), *q.shape)).copy()
-        for made, mistake in zip(placed, self._mistakes, strict=True):
+        placed = np.broadcast_to(self._lie, (len(self.mistakes), *q.shape)).copy()
+        for made, mistake in zip(placed, self.mistakes, strict=True):
             made[..., mistake.order] += mistake.sign * (q - self._lie)
         return placed
 
     def _mistake(self, left: FloatArray) -> str:
         """Return the mistake that explains most, from the squares that each leaves of each joint's tilt (12, M)."""
         gains = [0.0]
-        for mistake, rest in zip(self._mistakes[1:], left.T[1:], strict=True):
+        for mistake, rest in zip(self.mistakes[1:], left.T[1:], strict=True):
             before, after = left[mistake.touches, 0].sum(), rest[mistake.touches].sum()
             gains.append(before - after if after < EXPLAINED * before else 0.0)
-        return self._mistakes[int(np.argmax(gains))].text
+        return self.mistakes[int(np.argmax(gains))].text
 
 
 def _unexplained(answers: Sequence[Answer]) -> str:

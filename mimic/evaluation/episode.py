@@ -13,6 +13,7 @@ from mimic.config.play import (
     AS_DESCRIBED,
     NO_DISTURBANCE,
     RAMP,
+    TRIM,
     Disturbance,
     EffectsSettings,
     Randomisation,
@@ -59,7 +60,7 @@ class Job:
 
     def plant(self, description: RobotDescription, **options: Any) -> SimulatedPlant:
         """Return the robot, with further options of a `SimulatedPlant`."""
-        given: dict[str, Any] = {"samples": False, "begin": -RAMP, **plant_options(self.robot), **options}
+        given: dict[str, Any] = {"samples": False, "begin": -RAMP - TRIM, **plant_options(self.robot), **options}
         return SimulatedPlant(description, ranges=self.ranges, seed=self.seed, disturbance=self.disturbance, **given)
 
 

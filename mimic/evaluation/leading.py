@@ -18,7 +18,7 @@ from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
 from mimic.control.safety_rules import FALLEN
 from mimic.control.supervisor import Supervisor
-from mimic.evaluation.episode import TIMING, without_start
+from mimic.evaluation.episode import TIMING, of_episode, without_start
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.policy.runtime import Policy

@@ -10,7 +10,7 @@ import numpy as np
 
 from mimic.config.evaluation import LeadSettings
 from mimic.config.leading import HandSettings
-from mimic.config.play import RAMP, Randomisation
+from mimic.config.play import RAMP, TRIM, Randomisation
 from mimic.control.loop import RunResult
 from mimic.evaluation.episode import play_all
 from mimic.evaluation.leading import lead_robot
@@ -65,7 +65,7 @@ def _play(job: tuple[int, LeadSettings], policy: Policy) -> dict[str, Any]:
     hand = replace(settings.hand, direction=float(rng.uniform(-180.0, 180.0)), toe=SIDES[int(rng.integers(2))])
     ranges: Randomisation = replace(settings.randomisation, push=(0.0, 0.0))
     plant = SimulatedPlant(
-        description, ranges=ranges, seed=seed, samples=False, begin=-RAMP, **plant_options(settings.robot)
+        description, ranges=ranges, seed=seed, samples=False, begin=-RAMP - TRIM, **plant_options(settings.robot)
     )
     pull = Hand(plant.model, hand)
     plant.watch(pull)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mimic.config.leading import HandSettings, LeadingSettings
-from mimic.config.play import AS_DESCRIBED, RAMP, EffectsSettings
+from mimic.config.play import AS_DESCRIBED, RAMP, TRIM, EffectsSettings
 from mimic.errors import MimicError
 from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -77,7 +77,7 @@ def lead(
     player = load_policy(policy, description)
     if film is not None:
         store.check_writable(film.parent)
-    plant = SimulatedPlant(description, seed=seed, samples=False, begin=-RAMP, **plant_options(robot))
+    plant = SimulatedPlant(description, seed=seed, samples=False, begin=-RAMP - TRIM, **plant_options(robot))
     if interactive:
         result = _by_mouse(plant, player, leading)
         return Led(figures={}, log=result.log, fell_at=result.fell_at)

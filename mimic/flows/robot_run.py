@@ -121,7 +121,7 @@ def play_on_robot(
     """
     from mimic.control.recorder import RunRecorder
     from mimic.control.signals import Signals
-    from mimic.control.start import test_seconds
+    from mimic.control.start import start_seconds
     from mimic.control.supervisor import Supervisor
     from mimic.control.tick import Safety, observation_width
     from mimic.hardware.can.load import expected_load
@@ -156,7 +156,7 @@ def play_on_robot(
     record: CameraRecord | None = None
     with ExitStack() as until_saved, ExitStack() as stack:
         if camera is not None:  # opened before anything moves
-            zero = bus.start_ramp + moves * test_seconds(description.dt) + run.stand_up
+            zero = start_seconds(bus.start_ramp, description.dt, tested=moves) + run.stand_up
             commands, record = stack.enter_context(
                 follow_camera(
                     camera, settings, live, description=description, zero=zero, low_priority=True, reporter=reporter

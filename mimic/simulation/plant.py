@@ -160,6 +160,8 @@ class SimulatedPlant:
         data = self.data
         mujoco.mj_resetData(self.model, data)
         data.qpos[:], data.qvel[:], data.time = qpos, qvel, t
+        if self._motors is None:
+            data.ctrl[:] = qpos[7:]
         mujoco.mj_forward(self.model, data)
         reach = -(-self.variation.delay_steps // self._description.decimation)
         self._steps = 0

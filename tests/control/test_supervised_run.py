@@ -75,12 +75,12 @@ def test_it_ramps_runs_sits_down_and_damps_until_it_rests(supervised, contract):
     assert len(result.log.t) == len(plant.sent)
 
 
-def test_gains_and_targets_ramp_from_where_the_joints_are(supervised, description, contract):
+def test_gains_and_targets_ramp_from_where_the_joints_are(supervised, description):
     result, _, _ = supervised()
     kp, q_des = result.log.kp[:RAMP], result.log.q_des[:RAMP]
-    assert 0 < kp[0, 0] <= contract.kp[0] * 2.1 / RAMP
+    assert 0 < kp[0, 0] <= description.start.kp * 2.1 / RAMP
     assert np.all(np.diff(kp, axis=0) >= 0)
-    assert np.all(kp[RAMP // 2 :] == contract.kp)
+    assert np.all(kp[RAMP // 2 :] == description.start.kp)
     begin = result.log.q[0]
     assert np.allclose(q_des[: RAMP // 2], begin)
     assert np.allclose(q_des[-1], description.poses["lie"])
