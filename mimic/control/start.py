@@ -17,6 +17,9 @@ from mimic.robot.description import RobotDescription
 START = "start"
 """The rule that the ramp applies itself."""
 
+START_FINDS = "a joint 5° from the crouch after the ramp, base too low, tilt of 6°; wrong sign, swapped motors or legs, turned IMU"
+"""What it finds, in words."""
+
 TRIM_RATE, MOST_TRIM = 0.15, 0.2
 """Share of its distance by which a joint's target moves on in each control step, and how far at most [rad]."""
 
