@@ -17,7 +17,10 @@ from mimic.robot.description import RobotDescription
 START = "start"
 """The rule that the ramp applies itself."""
 
-START_FINDS = "a joint 5° from the crouch after the ramp, base too low, tilt of 6°; wrong sign, swapped motors or legs, turned IMU"
+START_FINDS = (
+    "a joint 5° from the crouch after the ramp, base too low, tilt of 6°; "
+    "wrong sign, swapped motors or legs, turned IMU"
+)
 """What it finds, in words."""
 
 TRIM_RATE, MOST_TRIM = 0.15, 0.2
