@@ -33,6 +33,9 @@ from mimic.records.base import Record
 from mimic.robot.description import RobotDescription
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
+OF_EPISODES: dict[str, Any] = {"samples": False, "begin": -RAMP - TRIM}
+"""Options of the plant of an episode: time 0 is where the policy begins."""
+
 J = TypeVar("J")
 R = TypeVar("R")
 L = TypeVar("L", bound=Record)
@@ -60,7 +63,7 @@ class Job:
 
     def plant(self, description: RobotDescription, **options: Any) -> SimulatedPlant:
         """Return the robot, with further options of a `SimulatedPlant`."""
-        given: dict[str, Any] = {"samples": False, "begin": -RAMP - TRIM, **plant_options(self.robot), **options}
+        given: dict[str, Any] = {**OF_EPISODES, **plant_options(self.robot), **options}
         return SimulatedPlant(description, ranges=self.ranges, seed=self.seed, disturbance=self.disturbance, **given)
 
 
