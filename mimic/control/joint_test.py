@@ -73,13 +73,13 @@ class Answer:
 
 def _mistakes() -> Iterator[Mistake]:
     """Return none at first, and then all that are looked for."""
-    joints, plus = np.arange(len(JOINTS)), np.ones(len(JOINTS))
+    joints, plus, swaps = np.arange(len(JOINTS)), np.ones(len(JOINTS)), dict[str, list[tuple[int, int]]]()
     yield Mistake(text="", order=joints, sign=plus)
     for joint, name in enumerate(JOINTS):
         yield Mistake(text=f"the sign of {name} is wrong", order=joints, sign=np.where(joints == joint, -1.0, 1.0))
-    swaps = {
-        f"the motors {JOINTS[a]} and {JOINTS[b]}": [(a, b)] for a, b in combinations(joints, 2) if a // 3 == b // 3
-    }
+    for a, b in combinations(range(len(JOINTS)), 2):
+        if a // 3 == b // 3:
+            swaps[f"the motors {JOINTS[a]} and {JOINTS[b]}"] = [(a, b)]
     for (a, one), (b, other) in combinations(enumerate(LEGS), 2):
         swaps[f"the legs {one} and {other}"] = [(3 * a + i, 3 * b + i) for i in range(3)]
     for text, pairs in swaps.items():

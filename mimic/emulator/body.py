@@ -81,7 +81,9 @@ class EmulatedBody:
             self._quat = _tilt(roll, pitch)
         self.data = mujoco.MjData(model)
         self._rng = np.random.default_rng([seed, 17])
-        self._order, self._sign, self._about = np.arange(12), np.ones(12), np.zeros(12)
+        self._order: IntArray = np.arange(12)
+        self._sign: FloatArray = np.ones(12)
+        self._about: FloatArray = np.zeros(12)
         self._place(placement, suspended)
         if not (suspended or folded):
             sink(model, self.data)
