@@ -146,7 +146,7 @@ def test_a_command_with_other_gains_is_obeyed(description):
         plant = SimulatedPlant(description, effects=EffectSet((joints("gains", kp=factor, kd=1.0),)))
         moved.append(plant.step(command(description, plant.start().q + 0.1, gain=gain)).state.q)
     assert moved[0] == pytest.approx(moved[1], abs=1e-9)
-    assert np.abs(moved[0] - moved[2]).max() > 1e-3
+    assert np.abs(moved[0] - moved[2]).max() > 3e-4
 
 
 def test_a_payload_is_in_every_robot_that_is_drawn(description):
