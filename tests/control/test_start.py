@@ -50,6 +50,9 @@ class Miswired:
         tick = self.plant.step(dataclasses.replace(command, q_des=q_des))
         return dataclasses.replace(tick, state=self._read(tick.state), sent=command)
 
+    def damp(self) -> bool:
+        return self.plant.damp()
+
     def close(self) -> None:
         self.plant.close()
 
