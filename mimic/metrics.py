@@ -37,9 +37,10 @@ def standing(log: RunLog, description: RobotDescription) -> np.ndarray:
 
 
 def stand_up_time(log: RunLog, description: RobotDescription) -> float:
-    """Return the time from the start of the log to the first upright tick [s]; infinite if there is none."""
-    stood = np.flatnonzero(standing(log, description))
-    return float(log.t[stood[0]] - log.t[0]) if len(stood) else float("inf")
+    """Return the time from when the policy begins to the first upright tick [s]; infinite if there is none."""
+    stood = log.t[standing(log, description)]
+    begins = log.t[log.phase != PHASES.index("lie")]
+    return float(stood[0] - begins[0]) if len(stood) and len(begins) else float("inf")
 
 
 def _step(log: RunLog) -> float:

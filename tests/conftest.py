@@ -186,7 +186,8 @@ def forgiving(description) -> Callable[..., Safety]:
     def make(**options) -> Safety:
         sits = options.pop("sits", True)
         return Safety(
-            supervisor=Supervisor(description, FORGIVING, sits=sits), **{"ramp": 0.0, "damp_at_end": False} | options
+            supervisor=Supervisor(description, FORGIVING, sits=sits),
+            **{"ramp": 0.0, "tested": False, "damp_at_end": False} | options,
         )
 
     return make

@@ -32,7 +32,7 @@ TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.5)
 RAMP, TRACK = 1.0, 3.0
 """[s]"""
 
-WITHIN = (0.1, 8.4)
+WITHIN = (0.1, 12.3)
 """When a fault begins, after the robot is ready [s]: from the ramp into the sitting down."""
 
 HANG = 60.0

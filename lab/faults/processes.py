@@ -45,7 +45,7 @@ HELPER = "mimic.hardware.robot.process"
 CUT_OFF = ("host_killed", "both_killed", "disk_full", "disk_small")
 """After these the process could write no more."""
 
-WITHIN = (0.2, 7.0)
+WITHIN = (0.2, 10.9)
 """When it happens, after the robot was switched on [s]; in the 2.5 s before, a stock robot is limp."""
 
 USER = 2

@@ -17,6 +17,7 @@ import numpy as np
 
 from mimic.config.play import NO_DISTURBANCE, NOMINAL, Disturbance, Randomisation, RunSettings
 from mimic.control.loop import RunResult, run_policy
+from mimic.evaluation.episode import OF_EPISODES
 from mimic.evaluation.senses import SENSES, SensingPolicy
 from mimic.flows.motion import InputSettings, load_motion
 from mimic.geometry import heading_from_quat
@@ -73,7 +74,7 @@ class Stream:
 def play(case: Case, policy: Policy, description: RobotDescription, arms: str | None) -> RunResult:
     """Play a case in plain MuJoCo."""
     settings = RunSettings(arms=arms, hold_last=0.0)  # type: ignore[arg-type]
-    plant = SimulatedPlant(description, ranges=case.ranges, seed=case.seed, disturbance=case.disturbance, samples=False)
+    plant = SimulatedPlant(description, ranges=case.ranges, seed=case.seed, disturbance=case.disturbance, **OF_EPISODES)
     if case.push is not None:
         begin = settings.stand_up + settings.blend + 0.5 * case.track.t[-1]
         plant.watch(_pusher(plant, case.push, begin))

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mimic.config.training import TRAINING_RANDOMISATION
-from mimic.evaluation.episode import play_episode
+from mimic.evaluation.episode import OF_EPISODES, play_episode
 from mimic.evaluation.policy import TIMING, command_script
 from mimic.geometry import up_cosine
 from mimic.io.store import written_whole
@@ -49,7 +49,7 @@ def play(seed: int, policy: str, robot: str) -> dict[str, np.ndarray]:
     rng = np.random.default_rng([seed, 83])
     track = command_script(description, SECONDS - TIMING.stand_up - TIMING.blend, rng)
     ranges = HARD_PUSH if pushed else TRAINING_RANDOMISATION
-    plant = SimulatedPlant(description, ranges=ranges, seed=100_000 + seed, samples=False)
+    plant = SimulatedPlant(description, ranges=ranges, seed=100_000 + seed, **OF_EPISODES)
     log = play_episode(plant, cached_policy(policy, robot), track, TIMING).log
     rows, up = rows_of(log), up_cosine(*log.quat_WB.T)
     since = (log.t - HARD_PUSH.push_interval) % HARD_PUSH.push_interval

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from mimic.config.play import RAMP
 from mimic.config.ranges import check_range
 
 TETHER_TORQUE, TETHER_RAMP = 9.0, 6.0
@@ -49,8 +50,8 @@ class DriveSettings(LookSettings):
 class BusSettings(DriveSettings):
     """How a robot is driven by a policy."""
 
-    ramp: float = 2.0
-    """Time to raise the gains and move into the lying pose [s]."""
+    ramp: float = RAMP
+    """Time to raise the gains and move into the crouch [s]; a test of each joint follows."""
     dry_run: bool = False
     """CAN: run pre-flight, policy, timing and log, with the motors off."""
     tether: bool = False

@@ -110,6 +110,10 @@ class MdpSettings:
     """Share of episodes that start upright, once the robot stands."""
     upright_share_at_first: float = 0.5
     """… and before: balance is what takes longest to learn."""
+    limp_share: float = 0.15
+    """Share of the other episodes that start as a robot without power lies; it is not brought into the crouch first."""
+    ramped_share: float = 0.45
+    """… and that start as the ramp leaves a robot; what is left starts a little above the crouch."""
     command_seconds: tuple[float, float] = (3.0, 12.0)
     """Time between two velocity and heading commands [s]; paper: 10."""
     stand_share: float = 0.45
@@ -190,6 +194,7 @@ class MdpSettings:
         check_range("fastest", self.fastest, 0.1, 3.0, "m/s")
         check_range("friction-speed", self.friction_speed, 0.0, 10.0, "rad/s")
         check_range("quiet-share", self.quiet_share, 0.0, 1.0)
+        check_range("limp-share and ramped-share together", self.limp_share + self.ramped_share, 0.0, 1.0)
         check_range("episode-steps", self.episode_steps, 100, 100_000)
         check_range("solver-iterations", self.solver_iterations, 1, 200)
         for name, (begin, end) in (("finish-steps", self.finish_steps), ("rest-steps", self.rest_steps)):

@@ -33,8 +33,8 @@ class DropoutFilter:
         self._bias, self._rests = np.zeros(3), 0
 
     def rest(self, state: RobotState) -> None:
-        """Learn the gyro's bias from a state of a robot that lies: the mean while it rests."""
-        if np.all(np.abs(state.omega_B) < RESTS):
+        """Learn the gyro's bias from a state of a robot that lies: the mean while gyro and joints show rest."""
+        if np.all(np.abs(state.omega_B) < RESTS) and np.all(np.abs(state.dq) < self._description.safety.rest_speed):
             self._rests += 1
             self._bias = self._bias + (state.omega_B - self._bias) / self._rests
 

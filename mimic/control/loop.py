@@ -17,10 +17,11 @@ from mimic.config.play import RunSettings
 from mimic.control.desired import DesiredMotion, LiveMotion, StoredMotion
 from mimic.control.plant import Plant, damping_command
 from mimic.control.safety_rules import FAILURE
+from mimic.control.start import start
 from mimic.control.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.tick import Run, Safety, Sink, observation_width
 from mimic.errors import ContractError, PlantError, SenderError
-from mimic.geometry import heading_from_quat, smoothstep
+from mimic.geometry import heading_from_quat
 from mimic.io.store import plain
 from mimic.policy.contract import ObservationBuilder, PolicyContract
 from mimic.policy.runtime import Policy
@@ -29,14 +30,13 @@ from mimic.records import (
     Command,
     CommandTrack,
     HealthLog,
-    JointCommand,
     JointSamples,
     LiveCommands,
     RunLog,
 )
 from mimic.robot.description import RobotDescription
 
-LIE, SIT_DOWN, DAMP = (PHASES.index(name) for name in ("lie", "sit_down", "damp"))
+SIT_DOWN, DAMP = (PHASES.index(name) for name in ("sit_down", "damp"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,8 +74,8 @@ def run_policy(
     A track must have the plant's control step; live commands go on until they end. The supervisor decides after every
     tick whether the robot runs on, sits down, is damped, or is stopped. The plant is closed whatever happens.
 
-    Without ``safety`` the run is supervised by the rules of `mimic.control.safety_rules`, begins where the plant
-    starts, and is over with its last tick. The first Ctrl-C then makes the robot sit down, a second one damps it.
+    Without ``safety`` the run is supervised by the rules of `mimic.control.safety_rules`, its joints are not tested,
+    and it is over with its last tick. The first Ctrl-C then makes the robot sit down, a second one damps it.
 
     Args:
         plant: A robot, simulated or real.
@@ -103,7 +103,7 @@ def run_policy(
     counted = safety is None
     if safety is None:
         supervisor = Supervisor(plant.description, sits=sit_down is not None)
-        safety = Safety(supervisor=supervisor, ramp=0.0, damp_at_end=False)
+        safety = Safety(supervisor=supervisor, tested=False, damp_at_end=False)
     motion, expected = _motion(track, settings, contract, plant.description, safety)
     sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
     report = None if progress is None else partial(_report, progress, expected + sit_ticks)
@@ -170,7 +170,7 @@ def _play(run: Run, policy: Policy, motion: DesiredMotion, sit_down: Policy | No
     try:
         run.begin()
         if safety.ramp > 0.0:
-            _ramp(run, policy.contract)
+            start(run)
         if run.mode == SafetyMode.RUN:
             _follow(run, policy, motion)
         if run.mode <= SafetyMode.SIT_DOWN and sit_down is not None:
@@ -191,21 +191,6 @@ def _play(run: Run, policy: Policy, motion: DesiredMotion, sit_down: Policy | No
                 _damp(run)
         return reason if isinstance(reason, Exception) else None
     return None
-
-
-def _ramp(run: Run, contract: PolicyContract) -> None:
-    """Let the gains rise where the joints are, then bring the joints into the lying pose."""
-    ticks = max(2, round(run.safety.ramp / contract.dt))
-    d = run.plant.description
-    begin, lie = np.clip(run.sensed.q, d.q_min, d.q_max), d.poses["lie"]
-    for tick in range(ticks):
-        if run.mode > SafetyMode.RUN:
-            return
-        done = 2.0 * (tick + 1) / ticks
-        gain, share = min(done, 1.0), float(np.clip(done - 1.0, 0.0, 1.0))
-        q_des = begin + smoothstep(share) * (lie - begin)
-        kp, kd = gain * np.array(contract.kp), gain * np.array(contract.kd)
-        run.hold(JointCommand(q_des=q_des, dq_des=np.zeros(12), kp=kp, kd=kd, tau_ff=np.zeros(12)), LIE)
 
 
 def _follow(run: Run, policy: Policy, motion: DesiredMotion) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.play import RAMP
 from mimic.control.arms import ArmGoal
 from mimic.control.dropouts import DropoutFilter
 from mimic.control.limits import clamp_command, clamp_desired
@@ -38,8 +39,12 @@ class Safety:
     """Requests to end, counted by whoever catches the signals."""
     recorder: RunRecorder | None = None
     """Where every tick goes at once."""
-    ramp: float = 2.0
-    """Time in which gains rise and the joints come into the lying pose [s]; 0 for a plant that starts in it."""
+    ramp: float = RAMP
+    """Time in which gains rise and the joints come into the crouch [s]; 0 for a plant that starts in it."""
+    tested: bool = True
+    """Whether each joint then moves by itself, to show that legs and IMU are what the wiring says."""
+    checked: bool = True
+    """Whether a robot that is not in the crouch after that is damped."""
     endless: bool = False
     """Whether the last command is held until something ends the run."""
     damp_at_end: bool = True

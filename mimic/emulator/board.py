@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mimic.emulator.board_base import MESSAGE_FAULTS, NetworkBoard
+from mimic.emulator.faults import MISWIRED
 from mimic.emulator.motor import FREE, LEAST_TORQUE, Drive
 from mimic.emulator.motor_mode import DAMPING, MotorCommands, MotorModeRules
 from mimic.errors import FrameError
@@ -48,6 +49,7 @@ FAULTS = (
     "motor_fault",
     "motor_hot",
     *MESSAGE_FAULTS,
+    *MISWIRED,
     "imu_silent",
     "imu_frozen",
     "imu_tilted",

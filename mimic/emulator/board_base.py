@@ -17,10 +17,10 @@ import numpy as np
 from mimic.config.emulator import EmulateSettings
 from mimic.dynamics.effect_set import EffectSet
 from mimic.emulator.body import EmulatedBody
-from mimic.emulator.faults import EmulatedFault
+from mimic.emulator.faults import EmulatedFault, miswiring
 from mimic.errors import ConfigError
 from mimic.hardware.robot.board_wiring import JointWiring
-from mimic.records import FloatArray
+from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
 
 TICK = 0.002
@@ -94,6 +94,7 @@ class NetworkBoard(Generic[W]):
             visuals=visuals,
         )
         self.body.release()
+        self.body.miswire(*miswiring(faults), np.zeros(len(JOINTS)))
         self._faults = list(faults)
         self._rng = np.random.default_rng([settings.seed, 29])
         self.now = 0.0

@@ -14,12 +14,13 @@ import numpy as np
 
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.law import Law
+from mimic.dynamics.lying import sink
 from mimic.dynamics.machine import SOLREF_STEPS, hung_robot, tilted_gravity
 from mimic.dynamics.robot_model import load_model
 from mimic.dynamics.servo import Servo, parameters_of, refuse_stand, static_model
 from mimic.emulator.motor import FREE, HOT, Drive
 from mimic.errors import PlantError
-from mimic.records import FloatArray
+from mimic.records import FloatArray, IntArray
 from mimic.robot.description import RobotDescription, with_timestep
 
 AMBIENT = 25.0
@@ -35,19 +36,21 @@ class EmulatedBody:
         *,
         effects: EffectSet | None = None,
         suspended: bool = False,
+        folded: bool = False,
         timestep: float = 0.0025,
         placement: float = 0.0,
         seed: int = 0,
         visuals: bool = False,
     ) -> None:
-        """Put the robot down, its legs folded.
+        """Put the robot down; it sinks from its folded legs, as without power.
 
         Args:
             description: The robot.
             effects: What its drives, links and encoders have besides.
             suspended: Hang it up by its trunk instead, its feet free.
+            folded: Somebody keeps its legs folded.
             timestep: Of the physics [s].
-            placement: Joints are placed as far as this from the lying pose [rad].
+            placement: Joints are placed as far as this from the folded pose, before it sinks [rad].
             seed: Draws the placement, late and lost commands.
             visuals: Keep the shapes that are only looked at.
 
@@ -78,7 +81,12 @@ class EmulatedBody:
             self._quat = _tilt(roll, pitch)
         self.data = mujoco.MjData(model)
         self._rng = np.random.default_rng([seed, 17])
+        self._order: IntArray = np.arange(12)
+        self._sign: FloatArray = np.ones(12)
+        self._about: FloatArray = np.zeros(12)
         self._place(placement, suspended)
+        if not (suspended or folded):
+            sink(model, self.data)
         self._law = Law(machine.drives, p, timestep, (1, 12), np)
         self._applied = np.zeros((1, 12))
         self._servo = Servo(
@@ -128,22 +136,36 @@ class EmulatedBody:
         """Let go of the robot."""
         self.held = False
 
+    def miswire(self, order: IntArray, sign: FloatArray, about: FloatArray) -> None:
+        """Let others take joints for what they are not.
+
+        Args:
+            order: Which joint each is really (12,).
+            sign: 1, or -1 where its readings and commands have the wrong sign (12,).
+            about: Angle at which both would agree (12,) [rad].
+        """
+        self._order, self._sign, self._about = order, sign, about
+        self._readings = None
+
     def drive(self, joint: int, drive: Drive, t: float) -> None:
         """Let a motor do something from time t [s] on, later by what the effects delay it.
 
         Args:
-            joint: Index of the joint.
+            joint: Index of the joint, as others take it.
             drive: In the joint's sign and zero, as its encoder reads.
             t: When the command arrived [s].
         """
         if self._lost and drive.kp and self._rng.random() < self._lost:
             return
         late = self._spread * self._rng.random() if self._spread else 0.0
+        taken, joint, sign = joint, int(self._order[joint]), float(self._sign[joint])
+        q = self._about[joint] + sign * (drive.q - self._about[taken])
+        drive = drive._replace(q=float(q), dq=sign * drive.dq, tau=sign * drive.tau)
         self._coming[joint].append((t + float(self._delay[joint]) + late, drive))
 
     def jam(self, joint: int, friction: float) -> None:
         """Let a joint turn only against an additional dry friction [N m]; 0 frees it."""
-        self._jam[joint] = friction
+        self._jam[self._order[joint]] = friction
 
     # ------------------------------------------------------------------ time
 
@@ -219,7 +241,9 @@ class EmulatedBody:
         """Return position as the encoder reads it [rad], velocity [rad/s] and torque [N m] of a joint at time t [s]."""
         if self._readings is None:
             q = np.array(self._law.reading(self.data.qpos[None, -12:])[0])
-            self._readings = q, np.array(self.data.qvel[-12:]), self._tau
+            q = self._about + self._sign * (q - self._about)[self._order]
+            dq, tau = (self._sign * values[self._order] for values in (self.data.qvel[-12:], self._tau))
+            self._readings = q, dq, tau
         q, dq, tau = self._readings
         return float(q[joint] + dq[joint] * (t - self.time)), float(dq[joint]), float(tau[joint])
 
@@ -232,7 +256,7 @@ class EmulatedBody:
 
     def temperature(self, joint: int) -> float:
         """Return the temperature of a motor [degC]; it reaches its fault when the winding model reaches its limit."""
-        return AMBIENT + (HOT - AMBIENT) * float(self._rise[0, joint] + self._rise[1, joint])
+        return AMBIENT + (HOT - AMBIENT) * float(self._rise[:, self._order[joint]].sum())
 
     def base(self) -> tuple[FloatArray, FloatArray]:
         """Return the trunk's orientation, wxyz, and its angular velocity in base axes [rad/s]."""

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from mimic.errors import ConfigError
-from mimic.records import JOINTS
+from mimic.records import JOINTS, FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -86,17 +87,41 @@ KINDS: dict[str, FaultKind] = {
     "imu_forged": FaultKind(
         text="share of orientations that are another one", scope="robot", default=0.1, drawn=(0.02, 0.5)
     ),
+    "sign_wrong": FaultKind(text="its sign in the wiring is wrong", scope="joint"),
+    "motors_swapped": FaultKind(text="its motor and the next one of its leg are swapped", scope="joint"),
+    "legs_swapped": FaultKind(text="its leg and the other one at that end are swapped", scope="joint"),
     "stalled": FaultKind(text="the adapter keeps everything back and lets it go at the end", scope="bus"),
     "bus_off": FaultKind(text="nothing gets through, and no error is reported", scope="bus"),
     "unplugged": FaultKind(text="the adapter is gone: the connection breaks", scope="bus"),
 }
 
 
+MISWIRED = ("sign_wrong", "motors_swapped", "legs_swapped")
+"""Kinds that are there from power-up on, whenever they are said to begin."""
+
 BOARD_ONLY = ("frames_reordered", "mode_refused", "mode_returns", "service_silent")
 """Kinds that only boards have; what else they have is in `mimic.emulator.board` and `mimic.emulator.go2`."""
 
 CAN_KINDS = tuple(kind for kind in KINDS if kind not in BOARD_ONLY)
 """Kinds that the robot on CAN has."""
+
+
+def miswiring(faults: Iterable[EmulatedFault]) -> tuple[IntArray, FloatArray]:
+    """Return which joint each is really (12,), and the sign of its readings and commands (12,)."""
+    order, sign = np.arange(len(JOINTS)), np.ones(len(JOINTS))
+    for fault in faults:
+        if fault.kind not in MISWIRED or fault.joint is None:
+            continue
+        leg, part = divmod(fault.joint, 3)
+        if fault.kind == "sign_wrong":
+            sign[fault.joint] *= -1.0
+        elif fault.kind == "motors_swapped":
+            swapped = [fault.joint, 3 * leg + (part + 1) % 3]
+            order[swapped] = order[swapped[::-1]]
+        else:
+            own, other = 3 * leg + np.arange(3), 3 * (leg ^ 1) + np.arange(3)
+            order[own], order[other] = order[other], order[own].copy()
+    return order, sign
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -187,10 +212,10 @@ def random_fault(
         seed: The same seed and ranges give the same fault.
         start: Range of its begin [s].
         after_release: Count from when the first motor is switched on.
-        kinds: To draw from.
+        kinds: To draw from; miswired joints are not drawn.
     """
     rng = np.random.default_rng([seed, 23])
-    name = str(rng.choice(kinds))
+    name = str(rng.choice([kind for kind in kinds if kind not in MISWIRED]))
     kind = KINDS[name]
     begin = float(rng.uniform(*start))
     lasts = math.inf if rng.random() < 0.5 else float(rng.choice([0.05, 0.2, 1.0]))

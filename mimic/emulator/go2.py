@@ -15,6 +15,7 @@ import numpy as np
 
 from mimic.emulator.board_base import MESSAGE_FAULTS, NetworkBoard
 from mimic.emulator.board_bus import EmulatedBoardBus
+from mimic.emulator.faults import MISWIRED
 from mimic.emulator.motor import FREE, LEAST_TORQUE, Drive
 from mimic.errors import FrameError
 from mimic.geometry import rotation_from_quat, rpy_from_quat
@@ -51,6 +52,7 @@ FAULTS = (
     "motor_dead",
     "motor_hot",
     *MESSAGE_FAULTS,
+    *MISWIRED,
     "imu_frozen",
     "imu_tilted",
     "bus_off",

@@ -19,7 +19,7 @@ from mimic.emulator.body import EmulatedBody
 from mimic.emulator.broken_drives import KINDS as BROKEN
 from mimic.emulator.broken_drives import BrokenDrives
 from mimic.emulator.bus import EmulatedBus, Sent
-from mimic.emulator.faults import EmulatedFault
+from mimic.emulator.faults import EmulatedFault, miswiring
 from mimic.emulator.imu import EmulatedMti
 from mimic.emulator.motor import FREE, LEAST_TORQUE, ROTOR_TURN, Drive, EmulatedMotor, Measured
 from mimic.errors import BusError, ConfigError
@@ -95,6 +95,7 @@ class EmulatedRobot:
             description,
             effects=effects,
             suspended=s.suspended,
+            folded=not s.zeroed,
             timestep=min(timestep, SUSPENDED_TIMESTEP) if s.suspended else timestep,
             placement=s.placement,
             seed=s.seed,
@@ -102,8 +103,10 @@ class EmulatedRobot:
         )
         self.buses = [EmulatedBus(wiring.bitrate) for _ in range(wiring.buses)]
         self.imu = EmulatedMti(wiring.imu, noise=s.imu_noise, seed=s.seed)
+        self.body.miswire(*miswiring(faults), wiring.offset)
         self.now = 0.0
         """Time of the emulation [s]."""
+        self._on, self._without_zero = False, set[int]() if s.zeroed else set(range(len(JOINTS)))
         self._rng = np.random.default_rng([s.seed, 29])
         self._faults: list[EmulatedFault] = []
         self._happened: set[int] = set()
@@ -150,7 +153,7 @@ class EmulatedRobot:
         """
         if fault.bus is not None and fault.bus >= len(self.buses):
             raise ConfigError(f"the fault {fault} is on bus {fault.bus}; this robot has {len(self.buses)}")
-        self._faults.append(fault if self.body.held else fault.released(self.now))
+        self._faults.append(fault.released(self.now) if self._on else fault)
 
     def connect(self, *, bus: int | None = None) -> Host:
         """Return a new host, on one bus or on all."""
@@ -291,11 +294,14 @@ class EmulatedRobot:
                 host.heard.append(Received(index, sent.frame, sent.t))
 
     def _hear(self, i: int, sent: Sent) -> None:
-        motor = self.motors[i]
+        motor, zero = self.motors[i], self.motors[i].zero
         self._count_age(motor, sent.t)
         answer = motor.hear(sent.frame, sent.t, self._measured(i))
         self._apply(i)
-        if motor.mode is MotorMode.RUNNING and self.body.held:
+        if motor.zero != zero:
+            self._zero_set(i)
+        if motor.mode is MotorMode.RUNNING and not self._on:
+            self._on = True
             self.body.release()
             self.events.append((self.now, "first motor switched on; the robot is no longer held"))
             self._faults = [fault.released(self.now) for fault in self._faults]
@@ -305,6 +311,14 @@ class EmulatedRobot:
     def _count_age(self, motor: EmulatedMotor, t: float) -> None:
         if motor.mode is MotorMode.RUNNING and motor.drive.kp > 0.0:
             self.oldest = max(self.oldest, t - motor.heard_at)
+
+    def _zero_set(self, i: int) -> None:
+        """Let go of a robot whose legs were kept folded for its zeros, once it has the last of them."""
+        if i in self._without_zero:
+            self._without_zero.remove(i)
+            if not self._without_zero and self.body.held:
+                self.body.release()
+                self.events.append((self.now, "the zeros are set; the robot is no longer held, and sinks"))
 
     def _answer(self, i: int, message: MotorMessage, ready: float) -> None:
         if self._value("motor_mute", joint=i) is None and self._value("motor_dead", joint=i) is None:

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 from mimic.config.evaluation import EpisodeSettings
-from mimic.config.play import AS_DESCRIBED, NO_DISTURBANCE, Disturbance, EffectsSettings, Randomisation, RunSettings
+from mimic.config.play import (
+    AS_DESCRIBED,
+    NO_DISTURBANCE,
+    RAMP,
+    TRIM,
+    Disturbance,
+    EffectsSettings,
+    Randomisation,
+    RunSettings,
+)
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
 from mimic.control.safety_limits import Limits
@@ -19,15 +28,20 @@ from mimic.control.supervisor import Supervisor
 from mimic.control.tick import Safety
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import Policy, cached_policy
-from mimic.records import CommandTrack
+from mimic.records import PHASES, BoolArray, CommandTrack
+from mimic.records.base import Record
 from mimic.robot.description import RobotDescription
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
+OF_EPISODES: dict[str, Any] = {"samples": False, "begin": -RAMP - TRIM}
+"""Options of the plant of an episode: time 0 is where the policy begins."""
+
 J = TypeVar("J")
 R = TypeVar("R")
+L = TypeVar("L", bound=Record)
 
 TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0)
-"""One second to stand up, as in the paper, then half a second to the first goal."""
+"""One second to stand up, as in the paper, then half a second to the first goal. Logs begin where the policy does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +63,7 @@ class Job:
 
     def plant(self, description: RobotDescription, **options: Any) -> SimulatedPlant:
         """Return the robot, with further options of a `SimulatedPlant`."""
-        given: dict[str, Any] = {"samples": False, **plant_options(self.robot), **options}
+        given: dict[str, Any] = {**OF_EPISODES, **plant_options(self.robot), **options}
         return SimulatedPlant(description, ranges=self.ranges, seed=self.seed, disturbance=self.disturbance, **given)
 
 
@@ -95,13 +109,31 @@ def play_episode(
     """
     rules: tuple[Rule, ...] = TRACKING_RULES if sit_down is None else SIT_DOWN_RULES
     supervisor = Supervisor(plant.description, rules=rules)
-    safety = Safety(supervisor=supervisor, ramp=0.0, damp_at_end=False)
-    result = run_policy(plant, policy, track, settings, sit_down=sit_down, safety=safety)
+    result = run_policy(plant, policy, track, settings, sit_down=sit_down, safety=of_episode(supervisor))
     if result.error is not None:
         raise result.error
     if result.interrupted:
         raise KeyboardInterrupt
-    return result
+    return without_start(result)
+
+
+def of_episode(supervisor: Supervisor) -> Safety:
+    """Return the supervision of an episode: a robot that a policy may not begin with is judged like any other."""
+    return Safety(supervisor=supervisor, tested=False, checked=False, damp_at_end=False)
+
+
+def without_start(result: RunResult) -> RunResult:
+    """Return a run from where its policy begins."""
+    log, samples = result.log, result.samples
+    rows = log.phase != PHASES.index("lie")
+    if samples is not None:
+        samples = _of_rows(samples, samples.t > 0.0)
+    return replace(result, log=_of_rows(log, rows), health=_of_rows(result.health, rows), samples=samples)
+
+
+def _of_rows(record: L, rows: BoolArray) -> L:
+    columns = {f.name: getattr(record, f.name)[rows] for f in fields(record) if f.metadata.get("axes") is not None}
+    return replace(record, **columns)
 
 
 def play_all(

@@ -18,8 +18,7 @@ from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
 from mimic.control.safety_rules import FALLEN
 from mimic.control.supervisor import Supervisor
-from mimic.control.tick import Safety
-from mimic.evaluation.episode import TIMING
+from mimic.evaluation.episode import TIMING, of_episode, without_start
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.policy.runtime import Policy
@@ -149,8 +148,8 @@ def lead_robot(
         if follow is not None and not follow(tick):
             leading.stop()
 
-    safety = Safety(supervisor=Supervisor(plant.description, rules=(FALLEN,)), ramp=0.0, damp_at_end=False)
+    safety = of_episode(Supervisor(plant.description, rules=(FALLEN,)))
     result = run_policy(plant, policy, leading, TIMING, sink=see, safety=safety)
     if result.error is not None:
         raise result.error
-    return result
+    return without_start(result)

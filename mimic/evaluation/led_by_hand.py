@@ -12,7 +12,7 @@ from mimic.config.evaluation import LeadSettings
 from mimic.config.leading import HandSettings
 from mimic.config.play import Randomisation
 from mimic.control.loop import RunResult
-from mimic.evaluation.episode import play_all
+from mimic.evaluation.episode import OF_EPISODES, play_all
 from mimic.evaluation.leading import lead_robot
 from mimic.evaluation.policy import stands_at_end
 from mimic.jobs.local import Progress
@@ -64,7 +64,7 @@ def _play(job: tuple[int, LeadSettings], policy: Policy) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 37])
     hand = replace(settings.hand, direction=float(rng.uniform(-180.0, 180.0)), toe=SIDES[int(rng.integers(2))])
     ranges: Randomisation = replace(settings.randomisation, push=(0.0, 0.0))
-    plant = SimulatedPlant(description, ranges=ranges, seed=seed, samples=False, **plant_options(settings.robot))
+    plant = SimulatedPlant(description, ranges=ranges, seed=seed, **OF_EPISODES, **plant_options(settings.robot))
     pull = Hand(plant.model, hand)
     plant.watch(pull)
     result = lead_robot(plant, policy, settings.leading, seconds=hand.end + hand.after)

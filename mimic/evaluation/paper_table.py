@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from mimic.config.evaluation import TableSettings
 from mimic.config.play import RunSettings
 from mimic.dynamics.ground_contacts import GroundFacts, ground_facts, ground_parts
-from mimic.evaluation.episode import play_all, play_episode
+from mimic.evaluation.episode import OF_EPISODES, play_all, play_episode
 from mimic.evaluation.paper_columns import (
     COLUMNS,
     PAPER,
@@ -176,7 +176,7 @@ def _play(job: _Job, given: Policy) -> list[tuple[int, str, dict[str, Episode]]]
     seconds = (steps + 1) * description.dt - TIMING.stand_up - TIMING.blend
     track = command_script(description, seconds, rng, first=neutral)
     s = job.settings
-    plant = SimulatedPlant(description, ranges=s.randomisation, seed=job.seed, samples=False, **plant_options(s.robot))
+    plant = SimulatedPlant(description, ranges=s.randomisation, seed=job.seed, **OF_EPISODES, **plant_options(s.robot))
     log = play_episode(plant, policy, track, TIMING).log
     played = [(job.senses, log, ground_facts(log, description))]
     if job.senses == s.senses[0]:

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mimic.config.play import EffectsSettings, RunSettings
+from mimic.config.play import RAMP, TRIM, EffectsSettings, RunSettings
 from mimic.config.pose import LiveSettings
 from mimic.flows.camera_record import CameraRecord
 from mimic.flows.motion import InputSettings, fetch_pose_model, refuse_second_video
@@ -166,7 +166,13 @@ def play_camera(
             view = stack.enter_context(LiveView(description))
         targets, record = stack.enter_context(
             follow_camera(
-                camera, settings, live, view=view, description=description, zero=run.stand_up, reporter=reporter
+                camera,
+                settings,
+                live,
+                view=view,
+                description=description,
+                zero=RAMP + TRIM + run.stand_up,
+                reporter=reporter,
             )
         )
         sink = None if view is None else view.tick

@@ -65,6 +65,7 @@ def lead(
         NoViewer: If there is no display for the viewer.
         NoOffscreenGL: If there is no off-screen rendering for the film.
     """
+    from mimic.evaluation.episode import OF_EPISODES
     from mimic.evaluation.leading import lead_robot
     from mimic.evaluation.led_by_hand import lead_figures
     from mimic.policy.runtime import load_policy
@@ -77,7 +78,7 @@ def lead(
     player = load_policy(policy, description)
     if film is not None:
         store.check_writable(film.parent)
-    plant = SimulatedPlant(description, seed=seed, samples=False, **plant_options(robot))
+    plant = SimulatedPlant(description, seed=seed, **OF_EPISODES, **plant_options(robot))
     if interactive:
         result = _by_mouse(plant, player, leading)
         return Led(figures={}, log=result.log, fell_at=result.fell_at)

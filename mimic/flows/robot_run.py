@@ -121,6 +121,7 @@ def play_on_robot(
     """
     from mimic.control.recorder import RunRecorder
     from mimic.control.signals import Signals
+    from mimic.control.start import start_seconds
     from mimic.control.supervisor import Supervisor
     from mimic.control.tick import Safety, observation_width
     from mimic.hardware.can.load import expected_load
@@ -147,14 +148,15 @@ def play_on_robot(
     inference = max(_inference(one) for one in (policy, sit_down))
     rate_hz = (PARTS if policy.contract.interpolate else 1) / description.dt
     folder = new_run_folder(source if source is not None else camera_name(camera) if camera else Path("robot"), out)
-    supervisor = Supervisor(description, strict=bus.tether, moves=not bus.dry_run)
+    moves = not bus.dry_run
+    supervisor = Supervisor(description, strict=bus.tether, moves=moves)
     signals = Signals()
     what = _announcement(None if standing else name, bus)
     commands: CommandTrack | LiveCommands = motion.commands
     record: CameraRecord | None = None
     with ExitStack() as until_saved, ExitStack() as stack:
         if camera is not None:  # opened before anything moves
-            zero = bus.start_ramp + run.stand_up
+            zero = start_seconds(bus.start_ramp, description.dt, tested=moves) + run.stand_up
             commands, record = stack.enter_context(
                 follow_camera(
                     camera, settings, live, description=description, zero=zero, low_priority=True, reporter=reporter
@@ -176,7 +178,13 @@ def play_on_robot(
             )
         )
         safety = Safety(
-            supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.start_ramp, endless=standing
+            supervisor=supervisor,
+            signals=signals,
+            recorder=recorder,
+            ramp=bus.start_ramp,
+            tested=moves,
+            checked=moves,
+            endless=standing,
         )
         signals.hold = None if hold is None else hold.held
         until_saved.enter_context(signals.caught())

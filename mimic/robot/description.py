@@ -28,6 +28,7 @@ from mimic.robot.parts import (
     ModelNames,
     ProbeRanges,
     SafetyNumbers,
+    StartNumbers,
     ThermalNumbers,
     TrainingNumbers,
     Workspace,
@@ -96,6 +97,7 @@ class RobotDescription:
     """[m]"""
     workspace: Workspace
     commands: CommandLimits
+    start: StartNumbers
     safety: SafetyNumbers
     training: TrainingNumbers
     thermal_numbers: ThermalNumbers | None
@@ -261,6 +263,7 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
             arm_forward=reach["forward"],
         ),
         commands=CommandLimits(velocity=_array(commands["velocity_max"]), turn_rate=commands["turn_rate_max"]),
+        start=StartNumbers(**raw["start"]),
         safety=SafetyNumbers(**raw["safety"]),
         training=TrainingNumbers(**raw["training"]),
         thermal_numbers=_thermal(motor) if "thermal" in motor else None,

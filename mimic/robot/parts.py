@@ -170,6 +170,22 @@ class TrainingNumbers:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StartNumbers:
+    """How the robot comes from lying without power into the crouch, and what it must be like there."""
+
+    kp: float
+    """Position gain of every joint meanwhile [N m/rad]."""
+    kd: float
+    """Velocity gain [N m s/rad]."""
+    joints: float
+    """Largest distance of a joint from the crouch [rad]."""
+    height: float
+    """Least height of the base, where it is measured [m]."""
+    tilt: float
+    """Largest tilt of the base [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SafetyNumbers:
     """Limits of the safety rules that follow from the size and the motors of the robot."""
 

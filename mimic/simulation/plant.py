@@ -13,6 +13,7 @@ import numpy as np
 
 from mimic.config.play import NO_DISTURBANCE, NOMINAL, Disturbance, EffectsSettings, Randomisation, Solver
 from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.lying import sink
 from mimic.dynamics.machine import hung_robot
 from mimic.dynamics.robot_model import (
     GAIN_KD,
@@ -78,6 +79,7 @@ class SimulatedPlant:
         solver: Solver | None = None,
         effects: EffectSet | None = None,
         observer: PhysicsObserver | None = None,
+        begin: float = 0.0,
     ) -> None:
         """Make a robot.
 
@@ -90,6 +92,7 @@ class SimulatedPlant:
                 of EffectsSettings.
             effects: Of a calibration; the drive law with them then replaces the native motors.
             observer: Called after each physics step.
+            begin: Time at which it lies without power [s]; pushes and pulls are later than 0.
 
         Raises:
             ConfigError: If the control step is no multiple of the solver's step, or the effects are not of this robot.
@@ -110,7 +113,7 @@ class SimulatedPlant:
         self.data = mujoco.MjData(self.model)
         self._samples = samples
         self._observer = observer
-        self._ranges = ranges
+        self._ranges, self._begin = ranges, begin
         self.restart(seed)
 
     @property
@@ -134,25 +137,31 @@ class SimulatedPlant:
             self._motors.fit(self.model, self.data, self.variation, seed)
 
     def start(self) -> RobotState:
-        """Put the robot on the ground, lying on its folded legs, and return its state."""
+        """Let the robot sink from its folded legs onto the ground, as without power, and return its state."""
         d, v = self._description, self.variation
         qpos = np.zeros(19)
         qpos[2] = d.pose_height["lie"] + 0.005 + v.start_height
         qpos[3:7] = np.cos(v.heading / 2), 0.0, 0.0, np.sin(v.heading / 2)
         qpos[7:] = np.clip(d.poses["lie"] + v.start_q, d.q_min + 0.01, d.q_max - 0.01)
         self.disturber.place(qpos)
-        return self.start_at(qpos, np.zeros(18))
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = qpos
+        sink(self.model, data)
+        return self.start_at(data.qpos, data.qvel, t=self._begin)
 
-    def start_at(self, qpos: FloatArray, qvel: FloatArray) -> RobotState:
+    def start_at(self, qpos: FloatArray, qvel: FloatArray, *, t: float = 0.0) -> RobotState:
         """Put the robot into a state, with its joints as targets, and return it.
 
         Args:
             qpos: Base position and orientation, then joints (19,), as in MuJoCo.
             qvel: Base velocity, world axes, and angular velocity, base axes, then joints (18,).
+            t: Time of it [s].
         """
         data = self.data
         mujoco.mj_resetData(self.model, data)
-        data.qpos[:], data.qvel[:] = qpos, qvel
+        data.qpos[:], data.qvel[:], data.time = qpos, qvel, t
+        if self._motors is None:
+            data.ctrl[:] = qpos[7:]
         mujoco.mj_forward(self.model, data)
         reach = -(-self.variation.delay_steps // self._description.decimation)
         self._steps = 0

@@ -1,21 +1,26 @@
-"""Starts of an episode: lying, or upright with the front legs anywhere; for sitting down, recorded states too."""
+"""Starts of an episode: lying in the crouch, as the ramp leaves a robot, or without power; upright with the front legs
+anywhere; for sitting down, recorded states too."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from mimic.config.play import RAMP, Randomisation
 from mimic.config.training import MdpSettings
+from mimic.control.start import Ramp
 from mimic.errors import AssetError
 from mimic.geometry import heading_sin_cos
 from mimic.io.assets import shipped
 from mimic.policy.runtime import robot_file
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import MARGIN
+from mimic.simulation.plant import SimulatedPlant
 from mimic.train.tensors import Chance, quat_from_euler
 
 TILT, SIT_DOWN_TILT = 0.12, 0.25
@@ -33,6 +38,9 @@ KINDS = ("steady", "rising", "falling")
 
 STRIDE = 0.45
 """Sitting down: largest change of the hind legs' joints of a random upright start [rad]."""
+
+LYING = 32
+"""Robots whose lying without power, and whose ramp into the crouch, is computed for training."""
 
 VELOCITY, TURN, OFFSET, JITTER = 0.3, 1.0, 0.15, 0.15
 """… largest base velocity along each axis [m/s], angular velocity [rad/s], difference between command and position of
@@ -57,8 +65,27 @@ class Start:
     """True where the start may be at any time of a task that has a clock (N,)."""
 
 
+@cache
+def lying_states(description: RobotDescription, ranges: Randomisation) -> tuple[np.ndarray, np.ndarray]:
+    """Return MuJoCo's positions (LYING, 19) of robots that lie without power, and after the ramp into the crouch."""
+    limp, ramped = [], []
+    level = replace(ranges, push=(0.0, 0.0), heading=(0.0, 0.0))
+    for seed in range(LYING):
+        plant = SimulatedPlant(description, ranges=level, seed=seed, samples=False)
+        state = plant.start()
+        limp.append(plant.data.qpos.copy())
+        ramp = Ramp(state.q, description, RAMP)
+        for tick in range(ramp.ticks):
+            state = plant.step(ramp.command(tick, state.q)).state
+        ramped.append(plant.data.qpos.copy())
+    return np.array(limp), np.array(ramped)
+
+
 class Starts(Chance):
     """Draws starts on the device."""
+
+    ramps = True
+    """Whether robots may lie without power, or as the ramp leaves them."""
 
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str) -> None:
         super().__init__(settings.worlds, device)
@@ -70,6 +97,10 @@ class Starts(Chance):
         self._heights = description.pose_height
         self._pitch = math.asin(float(description.upright_direction[2]))
         self._is_front = torch.arange(12, device=device) < 6
+        self._shares = settings.limp_share, settings.limp_share + settings.ramped_share
+        if self.ramps and self._shares[1] > 0.0:
+            limp, ramped = lying_states(description, settings.randomisation)
+            self._limp, self._ramped = self._tensor(limp), self._tensor(ramped)
 
     def draw(self) -> Start:
         """Return a start for every world."""
@@ -81,7 +112,16 @@ class Starts(Chance):
         q = torch.where(upright[:, None], self._upright, self._lie) + self._uniform(*r.start_q, 12)
         qpos = self._placed(upright, quat, q, MARGIN, r.start_height)
         qvel = self._uniform(-0.1, 0.1, 18) * torch.where(upright, 1.0, 0.2)[:, None]
-        return Start(upright=upright, heading=heading, command=qpos[:, 7:], qpos=qpos, qvel=qvel, anytime=upright)
+        command = qpos[:, 7:]
+        if self._shares[1] > 0.0:
+            kind, row = self._uniform(0.0, 1.0), torch.floor(self._uniform(0.0, 1.0) * LYING).long()
+            limp = (~upright & (kind < self._shares[0]))[:, None]
+            ramped = (~upright & (kind >= self._shares[0]) & (kind < self._shares[1]))[:, None]
+            lying = turned(torch.where(limp, self._limp[row], self._ramped[row]), heading)
+            qpos = torch.where(limp | ramped, lying, qpos)
+            qvel = torch.where(limp | ramped, 0.0, qvel)
+            command = torch.where(ramped, self._lie, qpos[:, 7:])
+        return Start(upright=upright, heading=heading, command=command, qpos=qpos, qvel=qvel, anytime=upright)
 
     def _placed(
         self, upright: torch.Tensor, quat: torch.Tensor, q: torch.Tensor, margin: float, above: tuple[float, float]
@@ -93,6 +133,14 @@ class Starts(Chance):
         q = torch.clamp(q, self._q_min + NEAREST, self._q_max - NEAREST)
         height = torch.where(upright, self._heights["upright"], self._heights["lie"]) + LIFTED + self._uniform(*above)
         return torch.cat([self._zeros(2), height[:, None], quat, q], -1)
+
+
+def turned(qpos: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
+    """Return positions (N, 19) turned about up by heading (N,) [rad], about where the base is."""
+    w, x, y, z = qpos[:, 3:7].unbind(-1)
+    c, s = torch.cos(heading / 2), torch.sin(heading / 2)
+    quat = torch.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], -1)
+    return torch.cat([qpos[:, :3], quat, qpos[:, 7:]], -1)
 
 
 SHARES = {"steady": 0.45, "rising": 0.1, "falling": 0.15, "lying": 0.1}
@@ -121,6 +169,8 @@ def recorded_states(file: str | Path) -> dict[str, np.ndarray]:
 
 class SitDownStarts(Starts):
     """Draws starts of sitting down."""
+
+    ramps = False
 
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str) -> None:
         super().__init__(description, settings, device)

@@ -36,6 +36,7 @@ def exchange_of(robot: EmulatedRobot) -> MotorBus:
 
 
 def cycle_power(robot: EmulatedRobot) -> None:
+    robot.body.held = True  # somebody keeps its legs where they are
     for joint in JOINTS:
         robot.inject(parse_fault(f"power_cycle:{joint}@{robot.now}"))
     robot.advance(robot.now + 0.2)

@@ -45,10 +45,10 @@ def hold(description, q: np.ndarray) -> JointCommand:
     return JointCommand(q_des=q, dq_des=zeros, kp=gains[0], kd=gains[1], tau_ff=zeros)
 
 
-def test_it_starts_lying_on_folded_legs(plant, description):
+def test_it_starts_lying(plant, description):
     state = plant.start()
     assert abs(up_cosine(*state.quat_WB)) < 0.2
-    assert np.abs(state.q - description.poses["lie"]).max() < 0.2
+    assert np.abs(state.q - description.poses["lie"]).max() < 0.5
     assert np.linalg.norm(state.quat_WB) == pytest.approx(1.0)
 
 

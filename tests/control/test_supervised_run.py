@@ -21,7 +21,8 @@ from mimic.errors import PlantError
 from mimic.records import PHASES, Health, HealthLog, JointCommand, RunLog, Tick
 
 SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
-RAMP, BEFORE, LAST = 20, 50 + 10 + 20 + 5, 75
+MOVES = 20
+RAMP, BEFORE, LAST = MOVES + 25, 50 + 10 + 20 + 5, 75
 """Ticks of the ramp, of the run, and of sitting down, with a track of 20."""
 
 
@@ -43,7 +44,7 @@ def supervised(memory_plant, fixed_policy, contract, track, description, forgivi
         signals = options.pop("signals", Signals())
         kind = options.pop("recorder", RunRecorder)
         recorder = kind(tmp_path / "run", contract.observation_size, {"dt": 0.02})
-        safety = forgiving(signals=signals, recorder=recorder, ramp=RAMP * 0.02, endless=endless, damp_at_end=True)
+        safety = forgiving(signals=signals, recorder=recorder, ramp=MOVES * 0.02, endless=endless, damp_at_end=True)
         supervisor = safety.supervisor
         result = run_policy(
             plant, fixed_policy(answer=answer), track(20), SHORT, sit_down=sitter, safety=safety, **options
@@ -75,14 +76,14 @@ def test_it_ramps_runs_sits_down_and_damps_until_it_rests(supervised, contract):
     assert len(result.log.t) == len(plant.sent)
 
 
-def test_gains_and_targets_ramp_from_where_the_joints_are(supervised, description, contract):
+def test_gains_and_targets_ramp_from_where_the_joints_are(supervised, description):
     result, _, _ = supervised()
     kp, q_des = result.log.kp[:RAMP], result.log.q_des[:RAMP]
-    assert 0 < kp[0, 0] <= contract.kp[0] * 2.1 / RAMP
+    assert 0 < kp[0, 0] <= description.start.kp * 2.1 / MOVES
     assert np.all(np.diff(kp, axis=0) >= 0)
-    assert np.all(kp[RAMP // 2 :] == contract.kp)
+    assert np.all(kp[MOVES // 2 :] == description.start.kp)
     begin = result.log.q[0]
-    assert np.allclose(q_des[: RAMP // 2], begin)
+    assert np.allclose(q_des[: MOVES // 2], begin)
     assert np.allclose(q_des[-1], description.poses["lie"])
 
 
@@ -283,7 +284,7 @@ def test_a_joint_that_did_not_answer_is_nan_in_the_log_and_estimated_for_the_pol
 
     plant.step = step
     policy = fixed_policy()
-    log = run_policy(plant, policy, track(20), SHORT, safety=forgiving(ramp=RAMP * 0.02)).log
+    log = run_policy(plant, policy, track(20), SHORT, safety=forgiving(ramp=MOVES * 0.02)).log
     assert np.flatnonzero(np.isnan(log.q[:, 4])).tolist() == [60, 61]
     assert np.isfinite(policy.seen).all()
     held = np.array([seen.reshape(policy.contract.history, -1)[-1][4] for seen in policy.seen])

@@ -8,6 +8,7 @@ import pytest
 from mimic.config.play import NOMINAL, Solver
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.emulator.body import AMBIENT, EmulatedBody
+from mimic.emulator.faults import miswiring, parse_fault
 from mimic.emulator.motor import FREE, HOT, Drive
 from mimic.errors import ConfigError
 from mimic.records import JOINTS, JointCommand
@@ -56,8 +57,8 @@ def test_it_moves_as_the_simulated_plant_does(description):
     assert made.data.qpos[2] > 0.2
 
 
-def test_until_it_is_released_somebody_holds_it(description):
-    made = EmulatedBody(description, placement=0.1, seed=3)
+def test_until_it_is_released_somebody_keeps_its_legs_folded(description):
+    made = EmulatedBody(description, placement=0.1, folded=True, seed=3)
     before = joints(made)[:, 0]
     made.advance(1.0)
     assert np.array_equal(joints(made)[:, 0], before)
@@ -66,6 +67,33 @@ def test_until_it_is_released_somebody_holds_it(description):
     made.advance(2.0)
     assert np.abs(joints(made)[:, 0] - before).max() > 0.2, "free motors do not carry it"
     assert made.data.qpos[2] < 0.07
+
+
+def test_nobody_keeps_it_from_lying_as_without_power(description):
+    made, plant = body(description), SimulatedPlant(description)
+    assert made.data.qpos[2:] == pytest.approx(np.r_[plant.start().p_WB[2], plant.data.qpos[3:]], abs=0.05)
+    before = joints(made)[:, 0]
+    made.advance(1.0)
+    assert np.abs(joints(made)[:, 0] - before).max() < 0.05
+
+
+def test_a_miswired_joint_is_commanded_and_read_where_it_is_not(description):
+    made, right = body(description), body(description)
+    order, sign = miswiring([parse_fault("legs_swapped:FL_hip"), parse_fault("sign_wrong:RL_abad")])
+    made.miswire(order, sign, description.poses["lie"])
+    swapped = description.poses["lie"] + 0.1 * np.arange(12) / 12
+    really = swapped[order]
+    really[6] = 2 * description.poses["lie"][6] - swapped[6]
+    for _ in range(40):
+        hold(made, swapped, kp=100.0, kd=5.0)
+        hold(right, really, kp=100.0, kd=5.0)
+        for one in (made, right):
+            one.advance(one.time + 0.02)
+    assert np.allclose(made.data.qpos, right.data.qpos, atol=1e-9)
+    assert joints(made)[:6, 0] == pytest.approx(joints(right)[order[:6], 0])
+    assert joints(made)[6, 0] - description.poses["lie"][6] == pytest.approx(
+        description.poses["lie"][6] - joints(right)[6, 0]
+    )
 
 
 def test_suspended_its_trunk_stays_and_its_free_legs_hang(description):

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mimic.config.play import RunSettings
+from mimic.config.play import RAMP, TRIM, RunSettings
 from mimic.errors import PlantError
 from mimic.evaluation.episode import play_episode
 from mimic.records import PHASES
@@ -17,8 +17,12 @@ LEANING, FALLEN = np.deg2rad(78.7 - 35.0), np.deg2rad(10.0)
 """Angles of base x above the ground of a robot that is about to fall, and of one that has fallen [rad]."""
 
 
+START = round((RAMP + TRIM) / 0.02)
+"""Ticks until the policy begins; a robot in memory counts them too, a simulated one begins before 0."""
+
+
 def tips(angle: float):
-    return lambda tick: np.pi / 2 if tick < 65 else angle
+    return lambda tick: np.pi / 2 if tick < START + 65 else angle
 
 
 @pytest.fixture
@@ -37,14 +41,14 @@ def test_a_tracking_episode_goes_on_while_the_robot_only_leans(memory_plant, fix
 def test_a_tracking_episode_ends_at_the_fall(memory_plant, fixed_policy, track):
     plant = memory_plant(pitch=tips(FALLEN))
     result = play_episode(plant, fixed_policy(), track(20), SHORT)
-    assert result.fell_at == pytest.approx(65 * 0.02)
+    assert result.fell_at == pytest.approx((START + 65) * 0.02)
     assert len(result.log.t) == 65
     assert plant.closed
 
 
 def test_a_robot_about_to_fall_sits_down_in_an_episode_that_ends_so(memory_plant, fixed_policy, track, sitter):
     result = play_episode(memory_plant(pitch=tips(LEANING)), fixed_policy(), track(20), SHORT, sit_down=sitter)
-    assert result.fell_at == pytest.approx(65 * 0.02)
+    assert result.fell_at == pytest.approx((START + 65) * 0.02)
     assert {PHASES[i] for i in result.log.phase[65:]} == {"sit_down"}
     assert len(result.log.t) == 65 + 75
 

@@ -15,6 +15,8 @@ import pytest
 
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
+from mimic.control.supervisor import Supervisor
+from mimic.control.tick import Safety
 from mimic.io.assets import shipped
 from mimic.policy.runtime import load_policy
 from mimic.records import CommandTrack
@@ -68,7 +70,10 @@ def test_it_plays_as_mimic_does(player, policy, description):
     n = len(toes)
     track = CommandTrack(t=description.dt * np.arange(n), v=np.zeros((n, 2)), heading=np.zeros(n), p_BE=toes)
     plant = SimulatedPlant(description, samples=False)
-    log = run_policy(plant, load_policy(policy, description), track, RunSettings(hold_last=0.0)).log
+    lying = np.r_[0.0, 0.0, description.pose_height["lie"] + 0.005, 1.0, 0.0, 0.0, 0.0, description.poses["lie"]]
+    plant.start = lambda: plant.start_at(lying, np.zeros(18))  # the player begins in the crouch
+    safety = Safety(supervisor=Supervisor(description, sits=False), ramp=0.0, damp_at_end=False)
+    log = run_policy(plant, load_policy(policy, description), track, RunSettings(hold_last=0.0), safety=safety).log
     assert len(q) == len(log.t)
     for ours, theirs in ((log.q, q), (log.quat_WB, quat), (log.q_des, q_des)):
         assert np.abs(ours - theirs).max() < 1e-5

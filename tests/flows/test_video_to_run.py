@@ -10,7 +10,7 @@ import pytest
 
 from mimic import __version__
 from mimic.cli import main
-from mimic.config.play import RunSettings
+from mimic.config.play import RAMP, TRIM, RunSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.io import store
 from mimic.io.assets import shipped
@@ -86,13 +86,15 @@ def test_the_log_holds_the_whole_run_at_50_hz_and_its_joints_at_400_hz(played, t
     log, joints = store.load(run / "log.parquet", RunLog), store.load(run / "joints.parquet", JointSamples)
     wanted = store.load(targets, TargetTrack)
     settings = RunSettings(hold_last=0.5)
-    besides = settings.stand_up + settings.blend + settings.hold_last + settings.sit_down
+    besides = RAMP + TRIM + settings.stand_up + settings.blend + settings.hold_last + settings.sit_down
     assert len(log.t) == len(wanted.t) + round(besides / 0.02)
     assert np.allclose(np.diff(log.t), 0.02)
     assert np.allclose(np.diff(joints.t), 0.0025)
     assert len(joints.t) == 8 * len(log.t)
     sits = log.phase == PHASES.index("sit_down")  # a policy that remembers less, whose observation is shorter
-    assert np.isfinite(log.observation[~sits]).all()
+    lies = log.phase == PHASES.index("lie")  # no policy runs yet
+    assert np.isnan(log.observation[lies]).all()
+    assert np.isfinite(log.observation[~sits & ~lies]).all()
     width = load_policy(None, load_description("cyberdog2"), task="sit_down").contract.observation_size
     assert np.isfinite(log.observation[sits][:, :width]).all()
 
@@ -131,7 +133,7 @@ def test_the_same_seed_plays_the_same_run(played, targets, workplace):
     assert main([str(targets), "--sim", "--no-view", "-o", str(again), *SEEDED]) == 0
     one, other = (store.load(run / "log.parquet", RunLog) for run in (played[1], again))
     assert np.array_equal(one.q, other.q)
-    assert np.array_equal(one.action, other.action)
+    assert np.array_equal(one.action, other.action, equal_nan=True)
 
 
 def test_a_run_folder_is_not_written_over(played, targets, capsys):

@@ -8,10 +8,10 @@ from mimic.errors import FrameError
 from mimic.hardware.can.load import MAX_LOAD, expected_load
 from mimic.hardware.can.other_programs import holding, others
 from mimic.hardware.can.step_budget import SPARE, StepBudget
-from mimic.hardware.can.zeros import LYING_TOLERANCE, Homing, uneven, zero_problems
+from mimic.hardware.can.zeros import Homing, uneven, zero_problems
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import MotorMode, Register
-from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
+from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check
 from mimic.records import DOUBLED, JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
 

@@ -30,8 +30,8 @@ from mimic.hardware.go2.messages import (
     encode,
 )
 from mimic.hardware.go2.wiring import Go2Wiring, load_go2
-from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, LYING_TOLERANCE, PERIOD, BoardDriver, BoardReadings
-from mimic.hardware.robot.checks import Check
+from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, PERIOD, BoardDriver, BoardReadings
+from mimic.hardware.robot.checks import LYING_TOLERANCE, Check
 from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description

@@ -17,7 +17,7 @@ import numpy as np
 from mimic.control.safety_limits import limits_for
 from mimic.errors import BusError, ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
-from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
+from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check
 from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
@@ -36,13 +36,6 @@ START_TILT = 0.3
 
 FRESH = 0.05
 """A reading at most this old shows that the robot answers [s]."""
-
-LYING_TOLERANCE = 0.6
-"""Largest distance of a joint from the lying pose at the start [rad].
-
-A limp robot rests on its trunk, its legs splayed: 0.37 rad from the lying pose, in the maker's firmware on the bench as
-in the emulation. One that stands is 1.1 rad from it.
-"""
 
 NO_ERR_FLAG = -1
 """err_flag before the first word of the board about it."""

@@ -15,6 +15,13 @@ from mimic.records import JOINTS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import all_toes
 
+LYING_TOLERANCE = 0.6
+"""Largest distance of a joint from the lying pose at the start [rad].
+
+A limp robot rests on its trunk, its legs splayed: 0.36 rad from the lying pose, a Go2 0.48, by their models and on the
+bench of the maker's firmware. One that stands is 1.1 rad from it.
+"""
+
 LIMIT_TOLERANCE = 0.1
 """How far beyond a joint limit a reading may be [rad]: half of what stops a robot that runs."""
 

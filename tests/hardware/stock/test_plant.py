@@ -216,7 +216,7 @@ def play(plant, description, ticks=50):
         heading=np.zeros(ticks),
         p_BE=np.repeat(toes, ticks, axis=0),
     )
-    safety = Safety(supervisor=Supervisor(description), ramp=1.0)
+    safety = Safety(supervisor=Supervisor(description), ramp=1.0, tested=False)
     settings = RunSettings(hold_last=0.5, sit_down=2.0)
     return run_policy(plant, policy, track, settings, sit_down=down, safety=safety)
 

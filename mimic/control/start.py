@@ -1,0 +1,136 @@
+"""From where a robot lies without power to the crouch that its policy begins in: ramp, test of the joints, check."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from mimic.config.play import TRIM
+from mimic.control.joint_test import MOVE_TICKS, REST_TICKS, JointTest
+from mimic.control.supervisor import SafetyMode
+from mimic.control.tick import Run
+from mimic.geometry import rotation_from_quat, smoothstep
+from mimic.records import JOINTS, PHASES, FloatArray, JointCommand, RobotState
+from mimic.robot.description import RobotDescription
+
+START = "start"
+"""The rule that the ramp applies itself."""
+
+START_FINDS = (
+    "a joint 5° from the crouch after the ramp, base too low, tilt of 6°; "
+    "wrong sign, swapped motors or legs, turned IMU"
+)
+"""What it finds, in words."""
+
+TRIM_RATE, MOST_TRIM = 0.15, 0.2
+"""Share of its distance by which a joint's target moves on in each control step, and how far at most [rad]."""
+
+LIE = PHASES.index("lie")
+
+
+def start_seconds(ramp: float, dt: float, *, tested: bool) -> float:
+    """Return how long it takes until a policy begins [s], at a control step dt [s]."""
+    return ramp + TRIM + tested * dt * len(JOINTS) * (MOVE_TICKS + REST_TICKS)
+
+
+class Ramp:
+    """The commands that bring a robot into the crouch: gains rise where the joints are, then the joints move.
+
+    At last the targets move on until the joints are there in spite of their load: a robot that sags is no longer where
+    its policy was trained to begin.
+    """
+
+    def __init__(self, q: FloatArray, description: RobotDescription, seconds: float) -> None:
+        """Begin at joints q (12,) [rad]; gains and joints take so many seconds [s]."""
+        self._description = d = description
+        self._begin, self._lie = np.clip(q, d.q_min, d.q_max), d.poses["lie"]
+        self._moving = max(2, round(seconds / d.dt))
+        self.ticks = self._moving + round(TRIM / d.dt)
+        """How many control steps it takes."""
+        self.trim = np.zeros(len(JOINTS))
+        """What the targets are beyond the crouch (12,) [rad]."""
+
+    def command(self, tick: int, q: FloatArray) -> JointCommand:
+        """Return the command of a control step, from 0, for joints that are at q (12,) [rad]."""
+        done = 2.0 * (tick + 1) / self._moving
+        share = float(np.clip(done - 1.0, 0.0, 1.0))
+        if tick >= self._moving:
+            self.trim = np.clip(self.trim + TRIM_RATE * (self._lie - q), -MOST_TRIM, MOST_TRIM)
+        q_des = self._begin + smoothstep(share) * (self._lie - self._begin) + self.trim
+        return held(q_des, self._description, min(done, 1.0))
+
+
+def start(run: Run) -> None:
+    """Bring a robot into the crouch, and damp it where it does not get there as its policy was trained to begin."""
+    d, safety = run.plant.description, run.safety
+    ramp = Ramp(run.sensed.q, d, safety.ramp)
+    for tick in range(ramp.ticks):
+        _hold(run, ramp.command(tick, run.sensed.q))
+    if safety.tested:
+        _test(run, ramp.trim)
+    if safety.checked and run.mode == SafetyMode.RUN:
+        _refuse(run, not_crouched(run.sensed, d))
+
+
+def _hold(run: Run, command: JointCommand) -> None:
+    """Send a command for a control step, unless something ended the run."""
+    if run.mode == SafetyMode.RUN:
+        run.hold(command, LIE)
+
+
+def held(q_des: FloatArray, description: RobotDescription, gain: float = 1.0) -> JointCommand:
+    """Return the command that holds joints (12,) [rad] as stiffly as the ramp, or with a share of that."""
+    d, zeros = description, np.zeros(len(JOINTS))
+    kp, kd = zeros + gain * d.start.kp, zeros + gain * d.start.kd
+    return JointCommand(q_des=np.clip(q_des, d.q_min, d.q_max), dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros)
+
+
+def _refuse(run: Run, text: str) -> None:
+    if text:
+        run.decide(START, SafetyMode.DAMP, f"{text}; it was damped on the ground")
+
+
+@cache
+def _prepared(description: RobotDescription) -> JointTest:
+    return JointTest(description)
+
+
+def _test(run: Run, trim: FloatArray) -> None:
+    """Move each joint by itself, its targets and those of the others as far beyond the crouch as the load asks."""
+    description = run.plant.description
+    test = _prepared(description)
+    answers = []
+    for joint in range(len(JOINTS)):
+        q, quat = [], []
+        for q_des in test.targets(joint):
+            _hold(run, held(q_des + trim, description))
+            q.append(run.sensed.q)
+            quat.append(run.sensed.quat_WB)
+        answers.append(test.answer(joint, np.array(q), np.array(quat)))
+    if run.mode == SafetyMode.RUN:
+        _refuse(run, test.fault(answers))
+
+
+def not_crouched(state: RobotState, description: RobotDescription) -> str:
+    """Return what is wrong with a robot that should be in the crouch, as a sentence; empty where nothing is."""
+    limits = description.start
+    away = np.abs(state.q - description.poses["lie"])
+    worst = int(np.argmax(away))
+    if away[worst] > limits.joints:
+        return (
+            f"{JOINTS[worst]} is {np.rad2deg(away[worst]):.0f} deg from the crouch, at most "
+            f"{np.rad2deg(limits.joints):.0f} may be; is it free to move, and the battery full?"
+        )
+    if state.p_WB[2] < limits.height:
+        return (
+            f"its base is {100 * state.p_WB[2]:.1f} cm high in the crouch, at least {100 * limits.height:.1f} must be"
+        )
+    up = rotation_from_quat(state.quat_WB)[2]
+    tilt = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
+    if tilt > limits.tilt:
+        return (
+            f"the IMU shows a tilt of {np.rad2deg(tilt):.0f} deg in the crouch, at most {np.rad2deg(limits.tilt):.0f} "
+            "may be; is the ground level, and the IMU mounted as the wiring says?"
+        )
+    return ""
