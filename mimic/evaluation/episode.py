@@ -132,8 +132,9 @@ def without_start(result: RunResult) -> RunResult:
 
 
 def _of_rows(record: L, rows: BoolArray) -> L:
-    columns = {f.name: getattr(record, f.name)[rows] for f in fields(record) if f.metadata.get("axes") is not None}
-    return replace(record, **columns)
+    shaped = [f.name for f in fields(record) if f.metadata.get("axes") is not None]  # type: ignore[arg-type]
+    columns = {name: getattr(record, name)[rows] for name in shaped}
+    return replace(record, **columns)  # type: ignore[type-var]
 
 
 def play_all(
