@@ -80,6 +80,12 @@ def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -
             means[at], scales[at] = mean[old], scale[old]
             if frame == source:
                 columns[:, at] = first[:, old]
+    before = {name: at for name, at in _places(known) if name in dict(known.once)}
+    for name, at in _places(contract):
+        if name in before and name in dict(contract.once):
+            old = before[name]
+            means[at], scales[at] = mean[old], scale[old]
+            columns[:, at] = first[:, old]
     for name, at in fresh:
         scales[at] = NEW_SPREAD[name]
         if name == "slow_mean":  # it begins at the mean of what it averages

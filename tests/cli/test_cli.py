@@ -242,7 +242,7 @@ BAD = [
     ("--text wave --sim --tether --dry-run", nothing, "--dry-run and --tether: for a real robot only"),
     ("--text wave --robot can0 --effects e.toml", nothing, "--effects: for the simulated robot only"),
     ("--camera nowhere.mp4 --sim", nothing, "there is no camera and no file 'nowhere.mp4'"),
-    ("--camera text.mp4 --sim", text_file("text.mp4"), "cannot read a picture from text.mp4"),
+    ("--camera text.mp4 --sim", text_file("text.mp4"), "no picture can be read from text.mp4"),
     ("--camera 0 targets.parquet --robot can0", nothing, "are different inputs; give one of them"),
     ("--camera 0 --sim --video film.mp4", nothing, "leave it out with --camera"),
     ("--camera 0 --sim --also side.mp4", nothing, "--also gives the second of two videos; a camera"),
@@ -364,7 +364,7 @@ def test_a_sentence_becomes_a_run_whose_key_frames_can_be_played_again(here, cap
     run = here / "runs" / "step-forward-then-stop-and-wave"
     assert {path.name for path in run.iterdir()} >= {"motion.yaml", "commands.parquet", "targets.parquet", "scene.rrd"}
     log = store.load(run / "log.parquet", RunLog)
-    assert log.v_des[:, 0].max() == 0.25
+    assert 0.2 < log.v_des[:, 0].max() <= 0.3  # as fast as the policy must be asked for 0.25 m/s
     assert json.loads((run / "metrics.json").read_text())["standing_share"] > 0.9
     assert main([str(run / "motion.yaml"), "--sim", "--no-view", *SHORT, "-o", "again"]) == 0
     again = store.load(here / "again" / "log.parquet", RunLog)

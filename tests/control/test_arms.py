@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from mimic.config.play import RunSettings
-from mimic.control.arms import ArmGoal, ArmTorques, LiveArms, StoredArms, arm_joints, blended, lead_time
+from mimic.control.arms import LiveArms, StoredArms, arm_joints, blended
 from mimic.control.loop import run_policy
 from mimic.dynamics.robot_model import load_model
 from mimic.metrics import run_metrics
+from mimic.policy.contract import lead_time
 from mimic.policy.runtime import load_policy
 from mimic.records import Command, CommandTrack
+from mimic.robot.arm_torques import ArmTorques
 from mimic.robot.description import load_description
 from mimic.robot.leg_kinematics import front_toes
 from mimic.robot.reach import Reach
@@ -112,8 +114,8 @@ def test_torques_at_rest_are_those_that_hold_the_arms_in_simulation(robot):
     data.qpos[7:] = robot.poses["upright"]
     mujoco.mj_forward(model, data)
     q = robot.poses["upright"]
-    goal = ArmGoal(q=q[:6], dq=np.zeros(6), ddq=np.zeros(6))
-    assert ArmTorques(robot).of(goal, q, quat) == pytest.approx(data.qfrc_bias[6:12], abs=1e-9)
+    zeros = np.zeros(6)
+    assert ArmTorques(robot).of(q[:6], zeros, zeros, quat) == pytest.approx(data.qfrc_bias[6:12], abs=1e-9)
 
 
 def test_a_moving_joint_also_needs_its_friction_and_the_inertia_of_its_rotor(robot):
@@ -122,12 +124,12 @@ def test_a_moving_joint_also_needs_its_friction_and_the_inertia_of_its_rotor(rob
     quat = np.array([1.0, 0.0, 0.0, 0.0])
     zeros = np.zeros(6)
     fast = np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])
-    still = torques.of(ArmGoal(q=q[:6], dq=zeros, ddq=zeros), q, quat)
-    forward = torques.of(ArmGoal(q=q[:6], dq=fast, ddq=zeros), q, quat)
-    backward = torques.of(ArmGoal(q=q[:6], dq=-fast, ddq=zeros), q, quat)
+    still = torques.of(q[:6], zeros, zeros, quat)
+    forward = torques.of(q[:6], fast, zeros, quat)
+    backward = torques.of(q[:6], -fast, zeros, quat)
     assert forward[2] - still[2] == pytest.approx(still[2] - backward[2])
     assert forward[2] > still[2]
-    speeding = torques.of(ArmGoal(q=q[:6], dq=zeros, ddq=fast), q, quat)
+    speeding = torques.of(q[:6], zeros, fast, quat)
     assert speeding[2] - still[2] > 2.0 * robot.armature[2]
 
 

@@ -36,7 +36,7 @@ def test_no_pose_model_is_downloaded_for_a_file_that_is_no_video(
 
 
 @pytest.mark.parametrize(
-    ("camera", "message"), [("nowhere", "there is no camera"), ("broken.mp4", "cannot read a picture from")]
+    ("camera", "message"), [("nowhere", "there is no camera"), ("broken.mp4", "no picture can be read from")]
 )
 def test_no_pose_model_is_downloaded_for_a_camera_that_is_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, camera: str, message: str

@@ -9,7 +9,7 @@ import onnxruntime
 import pytest
 
 from mimic.io.assets import shipped
-from mimic.policy.contract import FORMULAS, METADATA_KEY, TERMS
+from mimic.policy.contract import ARM_TERMS, FORMULAS, METADATA_KEY, PAPER_TERMS, TERMS
 from mimic.policy.reference import REFERENCE_KEY, STEPS, reference
 from mimic.policy.runtime import SHIPPED, load_policy
 
@@ -80,5 +80,5 @@ def test_every_term_is_explained_in_the_file(file):
     contract = json.loads(metadata.custom_metadata_map[METADATA_KEY])
     names = [name for name, _ in contract["terms"]]
     assert contract["formulas"] == {name: FORMULAS[name] for name in names}
-    assert set(FORMULAS) == {name for name, _ in TERMS}
+    assert set(FORMULAS) == {name for name, _ in (*PAPER_TERMS, *TERMS, *ARM_TERMS)}
     assert len(contract["how_to_play"]) > 4

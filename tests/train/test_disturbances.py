@@ -116,7 +116,8 @@ def test_a_tilted_imu_sees_another_down(description):
 
 
 def test_lost_commands_leave_the_one_before_in_effect(description):
-    env = make(description, disturbances=dataclasses.replace(UNDISTURBED, lost_share=(1.0, 1.0)))
+    lost = dataclasses.replace(UNDISTURBED, lost_share=(1.0, 1.0))
+    env = make(description, disturbances=lost, limp_share=0.0, ramped_share=0.0)
     before = env.worlds.qpos[0, 7:].clone()
     env.step(torch.ones(1, 12))
     assert torch.allclose(env.worlds.substep_ctrl[:, 0], before.expand(description.decimation, 12))

@@ -255,7 +255,7 @@ def test_a_world_that_explodes_is_started_again(env):
 
 def test_noise_is_on_measured_terms_only(description):
     quiet = make(description)
-    noisy = make(description, noise_q=0.01, noise_axes=0.015, noise_gyro=0.2, noise_dq=0.9)
+    noisy = make(description, noise_q=0.01, noise_axes=0.015, noise_gyro=0.2, noise_dq=0.9, noise_least=1.0)
     difference = np.abs(policy_observation(noisy) - policy_observation(quiet))[
         :, : quiet.settings.history * FRAME_SIZE
     ].reshape(-1, FRAME_SIZE)
