@@ -149,7 +149,8 @@ def play(
     if motion is not None and motion.script is not None:
         from mimic.policy.walks import corrected
 
-        asked = corrected(motion.commands, policy.path)
+        motion = replace(motion, commands=corrected(motion.commands, policy.path))
+        asked = motion.commands
     sit_down = sit_down or shipped_sit_down(description, reporter)
     inputs = {"policy": policy.path} | ({} if sit_down is None else {"sit_down": sit_down.path})
     if plant is None:

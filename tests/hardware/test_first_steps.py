@@ -72,7 +72,7 @@ def test_a_dry_run_goes_through_every_phase_and_switches_no_motor_on(robot, desc
     assert np.all(result.log.kp.max(axis=0) == description.start.kp)  # what would have been sent
     assert np.abs(result.log.q - result.log.q[0]).max() < 0.01
     assert plant.ending == "dry run: nothing was switched on"
-    assert not result.health.missed.any()
+    assert not result.health.missed[:-1].any()  # in the last step the sender has ended
 
 
 @pytest.mark.parametrize(("fault", "rule"), [("motor_mute:FL_hip", "motor_silent"), ("imu_silent", "imu_silent")])

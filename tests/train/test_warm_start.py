@@ -8,8 +8,8 @@ import pytest
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import AssetError, ConfigError
-from mimic.policy.contract import ARM_TERMS, FRAME_SIZE, PAPER_TERMS
-from mimic.policy.runtime import Policy
+from mimic.policy.contract import ARM_TERMS, FRAME_SIZE
+from mimic.policy.runtime import Policy, load_policy
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
@@ -99,27 +99,21 @@ def test_what_is_no_policy_is_refused(tmp_path):
         train(tmp_path / "out", MDP, LEARN, resume=tmp_path / "text.onnx")
 
 
-def test_a_training_goes_on_from_a_policy_without_gyro_as_that_policy_acts(policy, description, tmp_path):
-    """A policy of the paper's terms, made from another one by leaving out what it sees besides."""
-    onnx = pytest.importorskip("onnx")
-    from onnx import numpy_helper
-
-    from mimic.train.onnx_file import write_policy
-
-    old = sum(width for _, width in PAPER_TERMS)
-    graph = onnx.load(str(policy))
-    for tensor in graph.graph.initializer:
-        values = numpy_helper.to_array(tensor)
-        if values.shape[-1] == 3 * FRAME_SIZE:
-            short = values.reshape(*values.shape[:-1], 3, FRAME_SIZE)[..., :old].reshape(*values.shape[:-1], 3 * old)
-            tensor.CopyFrom(numpy_helper.from_array(short.copy(), tensor.name))
-    graph.graph.input[0].type.tensor_type.shape.dim[-1].dim_value = 3 * old
-    contract = dataclasses.replace(Policy(policy, description).contract, terms=PAPER_TERMS, noise=())
-    write_policy(graph, contract, description, tmp_path / "paper.onnx")
-    taken = train(tmp_path / "on", MDP, LEARN, resume=tmp_path / "paper.onnx")
-    seen = np.random.default_rng(0).normal(size=(20, 3, FRAME_SIZE)).astype(np.float32)
-    before = answers(tmp_path / "paper.onnx", description, seen[..., :old].reshape(20, -1))
-    assert np.abs(answers(taken, description, seen.reshape(20, -1)) - before).max() < 1e-4
+def test_a_training_goes_on_from_a_policy_that_saw_toe_commands_as_it_acts_for_neutral_toes(description, tmp_path):
+    shipped = load_policy(None, description)
+    contract = shipped.contract
+    assert contract.columns("toe_command").size
+    learn = dataclasses.replace(LEARN, hidden=LearnSettings().hidden)
+    taken = train(tmp_path, dataclasses.replace(MDP, history=contract.history), learn, resume=shipped.path)
+    new = Policy(taken, description).contract
+    rng = np.random.default_rng(0)
+    frames = {name: 0.2 * rng.normal(size=(5, contract.history, width)) for name, width in contract.terms}
+    frames["toe_command"] = np.tile(contract.neutral_toes, (5, contract.history, 1))
+    old = np.concatenate([frames[name] for name, _ in contract.terms], -1).reshape(5, -1)
+    seen = np.concatenate([frames[name] for name, _ in new.terms], -1).reshape(5, -1)
+    once = rng.normal(size=(5, ONCE))
+    before = answers(shipped.path, description, old)
+    assert np.abs(answers(taken, description, np.concatenate([seen, once], -1)) - before).max() < 1e-3
     assert np.abs(before).max() > 1e-2
 
 
