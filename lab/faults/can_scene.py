@@ -130,12 +130,7 @@ class CanScene:
         self.trouble = Trouble(rng, self.now)
         self._other = EmulatedLink(self.robot)
 
-        def opened(link: EmulatedLink) -> Any:
-            return ProxyLink(link, self.trouble)
-
-        driver = CanDriver(
-            opened(link), wiring, description, zeroed=True, reopen=lambda: opened(EmulatedLink(self.robot))
-        )
+        driver = CanDriver(ProxyLink(link, self.trouble), wiring, description, zeroed=True)
         self.link = EmulatedSenderLink(driver, description)
         self.plant = _Plant(self.link, description)
         self.plant.beside = self._beside

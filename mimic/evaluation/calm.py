@@ -151,7 +151,7 @@ def _play(job: _Job, policy: Policy) -> dict[str, Any]:
     rows = result.log.t >= SETTLED
     names = ("t", "q", "dq", "tau", "q_des")
     samples = JointSamples(**{name: getattr(result.samples, name)[steps] for name in names})
-    feet = np.array(planted.rows)[steps]
+    feet = np.array(planted.rows)[-len(steps) :][steps]  # of the ramp no samples are left
     return figures | still_figures(samples, feet, result.log.q_des[rows], result.log.p_WB[rows], description)
 
 

@@ -122,4 +122,5 @@ def test_two_calibrated_views_of_a_real_person_lie_as_they_were_calibrated(track
     merged, fit = merge_views(first, second, ("cam01.mp4", "cam02.mp4"))
     assert fit.angle_deg == pytest.approx(49, abs=8)
     assert abs(fit.delay) < 0.05
-    assert (merged.depth_spread < first.depth_spread)[first.valid[:, WRISTS] & second.valid[:, WRISTS]].all()
+    surer = (merged.depth_spread < first.depth_spread)[first.valid[:, WRISTS] & second.valid[:, WRISTS]]
+    assert surer.mean() > 0.95
