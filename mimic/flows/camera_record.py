@@ -111,7 +111,8 @@ class CameraRecord:
         if not rows.any():
             return None
         t = log.t[rows]
-        heading = log.heading_des[rows] - log.heading_des[0]
+        began = np.flatnonzero(np.isfinite(log.heading_des))[0]  # nothing is asked of a robot that lies
+        heading = log.heading_des[rows] - log.heading_des[began]
         robot = str(log.metadata.get("robot", ""))
         commands = CommandTrack(t=t - t[0], v=log.v_des[rows], heading=heading, p_BE=log.p_BE_des[rows], robot=robot)
         return Motion(commands=commands, pose=self.pose())
