@@ -33,9 +33,6 @@ SOON = 0.22
 """Eight readings of an encoder, and the ticks in which it is seen [s]."""
 
 
-pytestmark = pytest.mark.xfail(reason="faults are timed for runs that begin in the crouch; they begin limp now")
-
-
 def sound(outcome):
     assert not any(outcome[bad] for bad in ("undamped", "hung", "traceback", "lost", "silent")), outcome
 

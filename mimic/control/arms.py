@@ -42,7 +42,8 @@ class ArmGoal:
 def arm_joints(p_BE: FloatArray, reach: Reach, before: FloatArray) -> tuple[FloatArray, int]:
     """Return joints (T, 6) [rad] that bring the front toes to p_BE (T, 2, 3) [m], and how many rows are out of reach.
 
-    Such a row gets the joints of the closest point within reach.
+    Such a row gets the joints of the closest point within reach; one that is not a number keeps those of the row
+    before, and the control loop damps the robot when it gets there.
 
     Args:
         p_BE: Base -> front toe, base axes [m].
@@ -54,7 +55,8 @@ def arm_joints(p_BE: FloatArray, reach: Reach, before: FloatArray) -> tuple[Floa
     far = np.flatnonzero(excess.any(axis=-1))
     for row in far:
         start = joints[row - 1] if row else before
-        joints[row] = reach.closest(p_BE[row], start).q
+        known = np.isfinite(p_BE[row]).all()
+        joints[row] = reach.closest(p_BE[row], start).q if known else start
     return joints, len(far)
 
 

@@ -170,3 +170,16 @@ def test_toes_out_of_reach_harm_neither_a_stored_nor_a_live_motion(play, memory_
     for result in (stored, live):
         assert np.isfinite(result.log.q_des).all()
         assert result.error is None
+
+
+def test_a_target_that_is_not_a_number_damps_the_robot_when_its_time_has_come(play, memory_plant, fixed_policy, track):
+    policy = fixed_policy()
+    policy.contract = dataclasses.replace(policy.contract, arms="inverse_kinematics")
+    asked = track(20)
+    toes = asked.p_BE.copy()
+    toes[10, 0, 0] = np.nan
+    short = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1)
+    result = play(memory_plant(), policy, dataclasses.replace(asked, p_BE=toes), short)
+    assert any(event.text == "a target is not a number" for event in result.events)
+    assert np.isfinite(result.log.q_des).all()
+    assert result.error is None
