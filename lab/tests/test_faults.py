@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import pytest
 
-from lab.faults.own_time import play
+from lab.faults.own_time import RAMP, play
 from lab.faults.trouble import CASES, cases
+from mimic.control.start import start_seconds
 
-STANDS, TRACKS = 2.7, 1.0
-"""When the robot stands, and for how long it follows commands, from 2.5 s on [s]."""
+STANDS = 1.7 + start_seconds(RAMP, 0.02, tested=True)
+"""When the robot stands [s]: ramp and test of its joints, a second to stand up, half a second of blending, and .2."""
+
+TRACKS = 1.0
+"""For how long it follows commands, from .2 s earlier on [s]."""
 
 AFTER = {
     "ctrl_c": {"asked_to_end sit_down"},
