@@ -35,6 +35,9 @@ RAMP, TRACK = 1.0, 3.0
 WITHIN = (0.1, 12.3)
 """When a fault begins, after the robot is ready [s]: from the ramp into the sitting down."""
 
+ROUNDING = 1e-6
+"""Times that differ by less are the same [s]."""
+
 HANG = 60.0
 """A run that takes longer than this in the robot's time hangs [s]."""
 
@@ -187,7 +190,7 @@ def play(
         "fault": kind if fault is None else str(fault),
         "begin": start,
         "lasts": lasts,
-        "stood": stood(kept, 0 if kept is None else int(np.searchsorted(kept.t - kept.t[:1], start)) - 1),
+        "stood": stood(kept, 0 if kept is None else int(np.searchsorted(kept.t - kept.t[:1], start - ROUNDING)) - 1),
         "rule": "" if ended is None else f"{ended.rule} {ended.mode.name.lower()}",
         "text": "" if ended is None else ended.text,
         "after": float("nan") if ended is None else ended.t - start,
