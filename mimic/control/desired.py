@@ -53,6 +53,8 @@ class _Timing:
         self.stand, self.blend, self.hold = (
             round(seconds / contract.dt) for seconds in (settings.stand_up, settings.blend, settings.hold_last)
         )
+        self.moves_arms = (settings.arms or contract.arms) == INVERSE_KINEMATICS
+        """Whether the arms are moved by inverse kinematics."""
         self._description = description
         self._neutral = np.array(contract.neutral_toes).reshape(2, 3)
         self._begin: FloatArray | None = None
@@ -96,12 +98,12 @@ class StoredMotion:
             endless: Hold the last command for ever.
         """
         self._track = track
-        self._timing = _Timing(settings, contract, description)
+        self._timing = timing = _Timing(settings, contract, description)
         self._endless = endless
         self._arms: StoredArms | None = None
-        if (settings.arms or contract.arms) == INVERSE_KINEMATICS:
-            self._arms = StoredArms(track.p_BE, self._timing.blend, contract, description)
-        self.ticks = self._timing.stand + self._timing.blend + len(track.t) + self._timing.hold
+        if timing.moves_arms:
+            self._arms = StoredArms(track.p_BE, timing.blend, contract, description)
+        self.ticks = timing.stand + timing.blend + len(track.t) + timing.hold
         """Control ticks of the motion, unless it is endless."""
         self.out_of_reach = 0 if self._arms is None else self._arms.out_of_reach
         """Targets that the arms cannot reach; they go to the closest point."""
@@ -137,7 +139,7 @@ class LiveMotion:
         self._hold_left = self._timing.hold
         self._last: Command | None = None
         self._arms: LiveArms | None = None
-        if (settings.arms or contract.arms) == INVERSE_KINEMATICS:
+        if self._timing.moves_arms:
             self._arms = LiveArms(self._timing.blend, contract, description)
 
     def at(self, tick: int, q: FloatArray) -> Desired | None:
