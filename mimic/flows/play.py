@@ -146,11 +146,11 @@ def play(
         asked = motion.commands
     if not isinstance(policy, Policy):
         policy = policy_for(settings.policy if policy is None else policy, description)
-    if motion is not None and motion.script is not None:
+    if motion is not None and motion.script is not None and not motion.corrected_for:
         from mimic.policy.walks import corrected
 
-        motion = replace(motion, commands=corrected(motion.commands, policy.path))
-        asked = motion.commands
+        asked = corrected(motion.commands, policy.path)
+        motion = replace(motion, commands=asked, corrected_for=policy.path.name)
     sit_down = sit_down or shipped_sit_down(description, reporter)
     inputs = {"policy": policy.path} | ({} if sit_down is None else {"sit_down": sit_down.path})
     if plant is None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mimic
@@ -62,3 +63,11 @@ def test_toes_that_were_made_for_another_robot_are_refused(tmp_path: Path) -> No
     assert mimic.load_motion(path).targets is not None
     with pytest.raises(SourceError, match=r"made for the cyberdog2, and the robot is a go2; play what they were made"):
         mimic.load_motion(path, description=mimic.load_robot("go2"))
+
+
+@pytest.mark.slow
+def test_a_walk_that_is_played_again_is_asked_for_the_same_speed():
+    run = mimic.play(motion_from_text("step forward"))
+    again = mimic.play(run.motion)
+    assert run.result.log.v_des[:, 0].max() > 0.1
+    np.testing.assert_array_equal(again.result.log.v_des, run.result.log.v_des)
