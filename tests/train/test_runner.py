@@ -18,7 +18,7 @@ from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 from mimic.robot.description import load_description  # noqa: E402
 from mimic.train import learn  # noqa: E402
 from mimic.train.learn import runner_config  # noqa: E402
-from mimic.train.runner import own_device, rank  # noqa: E402
+from mimic.train.runner import ResumableRunner, own_device, rank  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 together = pytest.mark.skipif(
@@ -28,8 +28,8 @@ MDP = MdpSettings(worlds=2, history=2)
 LEARN = LearnSettings(device="cpu", steps=4, hidden=(16, 8), epochs=2, minibatches=2, mirror=0.0)
 
 
-class RunnerOnCpus(OnPolicyRunner):
-    """rsl_rl's runner, which has several processes on GPUs only."""
+class OnCpus:
+    """rsl_rl's runner has several processes on GPUs only; this part lets it have them on CPUs."""
 
     def _configure_multi_gpu(self) -> None:
         me, count = rank(), int(os.environ["WORLD_SIZE"])
@@ -37,6 +37,14 @@ class RunnerOnCpus(OnPolicyRunner):
         self.is_distributed = True
         self.cfg["multi_gpu"] = {"global_rank": me, "local_rank": me, "world_size": count}
         torch.distributed.init_process_group(backend="gloo", rank=me, world_size=count)
+
+
+class RunnerOnCpus(OnCpus, OnPolicyRunner):
+    """rsl_rl's runner on CPUs."""
+
+
+class ResumableRunnerOnCpus(OnCpus, ResumableRunner):
+    """This project's runner on CPUs."""
 
 
 def learned(env: StandTrackEnv, seed: int, plain: bool) -> torch.Tensor:
@@ -57,6 +65,7 @@ def learned(env: StandTrackEnv, seed: int, plain: bool) -> torch.Tensor:
                 seen = env.get_observations()
                 for tensor in seen.values():
                     tensor.copy_(torch.randn(tensor.shape, generator=noise))
+                seen["own"].fill_(1.0)  # all actions count, as they do for rsl_rl
                 runner.alg.act(seen)
                 ended = torch.zeros(env.num_envs, dtype=torch.long)
                 runner.alg.process_env_step(seen, torch.randn(env.num_envs, generator=noise), ended, {})
@@ -79,7 +88,7 @@ def process(folder: str, *ports: str) -> int:
         torch.save(learned(env, 1 + rank(), plain), f"{folder}/{rank()}-{plain}.pt")
         torch.distributed.destroy_process_group()
     os.environ |= torchrun
-    learn.OnPolicyRunner = RunnerOnCpus  # type: ignore[misc]
+    learn.ResumableRunner = ResumableRunnerOnCpus  # type: ignore[misc]
     words = ["worlds=4", "history=2", "iterations=2", "steps=2", "minibatches=2", "hidden=[16,8]", "device=cpu"]
     return main(["train", f"{folder}/out", "--set", *words])
 
