@@ -32,6 +32,10 @@ ORDER_TIMEOUT = 0.1
 REPORT_PERIOD = 0.0025
 """Longest time between two reports of a robot that is not sent to all the time [s]."""
 
+KEEPS_MOVING = 1.5
+"""Control steps from the begin of an order for which joints are asked to move; within one more, none is any more. A
+motor overshoots a target by kd dq_des / kp: a fast arm by 1 rad."""
+
 ORDER_STEP = 2.5
 """Targets of two orders in a row differ by at most this [rad]; those of the shipped policy by up to 1.83."""
 
@@ -283,13 +287,16 @@ class Sender:
             return
         self._due = order.begin + self._slot_end(now)
         if not driver.repeats and self._due > order.begin + command.ramp - 0.5 * driver.period:
-            self._due = np.inf  # that was the last part
+            self._due = self._due_late(self._due)
 
     def _part(self, now: float) -> JointCommand:
         """Return the command of a message that holds for one period."""
         order = self._order
         assert order is not None
         command, begin = order.command, self._from
+        moves = min(max(1.0 + KEEPS_MOVING - self._slot_end(now) / self._description.dt, 0.0), 1.0)
+        if moves < 1.0:
+            return replace(command, dq_des=moves * command.dq_des)
         if command.ramp <= 0.0 or begin is None:
             return command
         share = min(max(self._slot_end(now) / command.ramp, 0.0), 1.0)
@@ -303,6 +310,14 @@ class Sender:
             dq_des=on_the_way(begin.dq_des, command.dq_des),
             tau_ff=on_the_way(begin.tau_ff, command.tau_ff),
         )
+
+    def _due_late(self, due: float) -> float:
+        """Return when a motor that keeps its command needs another part, once all parts of the order are out [s]."""
+        order, dt = self._order, self._description.dt
+        assert order is not None
+        fades = order.begin + KEEPS_MOVING * dt
+        moves = order.command.dq_des.any() and due < fades + dt - 0.5 * self.driver.period
+        return max(due, fades) if moves else np.inf
 
     def _slot_end(self, now: float) -> float:
         """Return when the period in which a time is ends, from the begin of the order's step on [s]."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,7 +39,7 @@ class Motors:
     def drive(self, command, joints=ALL) -> None:
         if not np.isfinite(command.q_des).all():
             raise FrameError("not finite")
-        self.told.append((round(self.t, 4), "drive", float(command.q_des[0] - LIE[0]), joints))
+        self.told.append((round(self.t, 4), "drive", float(command.q_des[0] - LIE[0]), joints, float(command.dq_des[0])))
 
     def damp(self) -> None:
         self.told.append((round(self.t, 4), "damp"))
@@ -101,6 +103,19 @@ def test_a_command_that_is_not_interpolated_goes_out_once(driving):
     go(sender, 0.06)
     assert driven(motors) == [(0.02, 0.1)]
     assert motors.told[0][3] == (1, 2)
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+def test_joints_are_not_asked_to_move_on_where_the_next_order_is_late(driving, repeats):
+    motors, sender = driving
+    motors.repeats = repeats
+    late = order(0.1, 0.02)
+    sender.order(replace(late, command=replace(late.command, dq_des=np.full(12, 4.0))))
+    go(sender, 0.1)
+    asked = {t: told[-1] for t, what, *told in motors.told if what == "drive"}
+    assert max(asked.values()) == 4.0
+    np.testing.assert_allclose([asked[t] for t in (0.05, 0.055, 0.06, 0.065)], [3.0, 2.0, 1.0, 0.0], atol=1e-9)
+    assert max(v for t, v in asked.items() if t > 0.065) == 0.0 if repeats else max(asked) == 0.065
 
 
 def test_a_robot_that_must_be_told_again_and_again_is(driving):
