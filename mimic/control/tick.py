@@ -22,7 +22,7 @@ from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.geometry import turned_about_up
 from mimic.policy.contract import FRONT, ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
-from mimic.records import PHASES, Command, JointCommand, JointSamples, RobotState, Tick
+from mimic.records import JOINTS, PHASES, Command, FloatArray, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.arm_torques import ArmTorques
 from mimic.robot.leg_kinematics import front_toes
 
@@ -142,7 +142,7 @@ class Run:
         if arms is not None:
             q_des[:FRONT] = arms.q
             dq_des[:FRONT] = arms.dq
-            tau_ff[:FRONT] = self._arm_torques.of(arms.q, arms.dq, arms.ddq, self.sensed.quat_WB)
+            tau_ff[:FRONT] = self._given(self._arm_torques.of(arms.q, arms.dq, arms.ddq, self.sensed.quat_WB))
             own = action[FRONT:]
         command = JointCommand(
             q_des=q_des,
@@ -157,6 +157,15 @@ class Run:
         seen = np.full(self._width, np.nan)
         seen[: len(observation)] = observation
         self._step(command, phase, clamped, **asked, observation=seen, action=action)
+
+    def _given(self, wanted: FloatArray) -> FloatArray:
+        """Return torques of the front legs (6,) [N m] that the motors give; say once where more is wanted."""
+        most = self.plant.description.torque_max[:FRONT]
+        worst = int(np.argmax(np.abs(wanted) / most))
+        if np.abs(wanted[worst]) > most[worst]:
+            text = f"the motion needs {np.abs(wanted[worst]):.0f} N m at {JOINTS[worst]}, whose motor gives"
+            self.safety.supervisor.note("arm_torque", f"{text} {most[worst]:g}: the toes lag there", self.state.t)
+        return np.clip(wanted, -most, most)
 
     def hold(self, command: JointCommand, phase: int) -> None:
         """Send a command that no policy made, for one control step; a robot that lies shows the gyro's bias."""

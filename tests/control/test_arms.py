@@ -183,3 +183,19 @@ def test_a_target_that_is_not_a_number_damps_the_robot_when_its_time_has_come(pl
     assert any(event.text == "a target is not a number" for event in result.events)
     assert np.isfinite(result.log.q_des).all()
     assert result.error is None
+
+
+def test_a_motion_that_needs_more_torque_than_the_motors_give_is_told(play, memory_plant, fixed_policy):
+    policy = fixed_policy()
+    policy.contract = dataclasses.replace(policy.contract, arms="inverse_kinematics")
+    rows = 50
+    robot = load_description("cyberdog2")
+    q = np.tile(robot.poses["upright"], (rows, 1))
+    short = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1)
+    for fast in (False, True):
+        q[:, 1] += 0.4 * (np.arange(rows) % 2) * fast
+        toes = front_toes(q, robot)
+        track = CommandTrack(t=0.02 * np.arange(rows), v=np.zeros((rows, 2)), heading=np.zeros(rows), p_BE=toes)
+        told = [e.text for e in play(memory_plant(), policy, track, short).events if e.rule == "arm_torque"]
+        assert len(told) == fast
+        assert all("whose motor gives 12: the toes lag" in text for text in told)
