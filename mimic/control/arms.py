@@ -21,7 +21,6 @@ from mimic.geometry import smoothstep
 from mimic.policy.contract import AHEAD, FRONT, PolicyContract, arm_reference, lead_time
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
-from mimic.robot.goals import leg_joints
 from mimic.robot.reach import Reach
 
 
@@ -42,22 +41,25 @@ class ArmGoal:
 def arm_joints(p_BE: FloatArray, reach: Reach, before: FloatArray) -> tuple[FloatArray, int]:
     """Return joints (T, 6) [rad] that bring the front toes to p_BE (T, 2, 3) [m], and how many rows are out of reach.
 
-    Such a row gets the joints of the closest point within reach; one that is not a number keeps those of the row
-    before, and the control loop damps the robot when it gets there.
+    Of two postures of a leg the one nearer to the row before is taken, or it would jump. A row out of reach gets the
+    joints of the closest point within reach; one that is not a number keeps those of the row before, and the control
+    loop damps the robot when it gets there.
 
     Args:
         p_BE: Base -> front toe, base axes [m].
         reach: The robot.
         before: Joints (6,) of the row before the first [rad].
     """
-    q, excess = leg_joints(np.asarray(p_BE, dtype=np.float64), reach.description)
-    joints = q.reshape(-1, FRONT)
-    far = np.flatnonzero(excess.any(axis=-1))
-    for row in far:
-        start = joints[row - 1] if row else before
-        known = np.isfinite(p_BE[row]).all()
-        joints[row] = reach.closest(p_BE[row], start).q if known else start
-    return joints, len(far)
+    p_BE = np.asarray(p_BE, dtype=np.float64)
+    joints = np.empty((len(p_BE), FRONT))
+    far = 0
+    for row, toes in enumerate(p_BE):
+        q = reach.inverse(toes, before)
+        if np.isnan(q).any():
+            far += 1
+            q = reach.closest(toes, before).q if np.isfinite(toes).all() else before
+        joints[row] = before = q
+    return joints, far
 
 
 class StoredArms:

@@ -13,19 +13,25 @@ from mimic.config.evaluation import EvaluateSettings
 from mimic.config.play import NOMINAL
 from mimic.control.loop import RunResult
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
-from mimic.geometry import heading_from_quat, wrap_angle
+from mimic.geometry import heading_from_quat, smoothstep, wrap_angle
 from mimic.jobs.local import Progress
 from mimic.metrics import run_metrics, standing
+from mimic.policy.contract import FRONT
 from mimic.policy.runtime import Policy
 from mimic.records import CommandTrack, FloatArray, RunLog
 from mimic.robot.description import RobotDescription
-from mimic.robot.goals import draw_goals
+from mimic.robot.goals import MARGIN, draw_goals, leg_joints
+from mimic.robot.leg_kinematics import front_toes
 
 STOOD_WITHIN = 1.5
 """A stand-up counts when the robot stands within this [s]."""
 
 GOAL_SECONDS = 3.0
 """Time between two toe goals; paper: 3 s."""
+
+SPARE = float(np.deg2rad(2.0))
+"""Further distance that goals keep from joint limits [rad]: arms that follow exactly, with noise on their readings,
+would else end every episode of the paper's table, whose limit is that of the goals."""
 
 COMMAND_SECONDS = 10.0
 """Time between two velocity and heading commands; paper: 10 s."""
@@ -40,12 +46,24 @@ COMMAND_EPISODES = 4
 """Nominal episodes of each walking speed and each turn."""
 
 
-def goal_path(goals: FloatArray, ticks: int, dt: float) -> FloatArray:
-    """Return toes (ticks, 2, 3) that go on straight lines from goal to goal (goals, 2, 3), GOAL_SECONDS each."""
+def goal_path(goals: FloatArray, ticks: int, dt: float, description: RobotDescription) -> FloatArray:
+    """Return toes (ticks, 2, 3) [m] that go from goal to goal (goals, 2, 3) [m], GOAL_SECONDS each.
+
+    Joints go straight from goal to goal, and rest at each; a straight way of a toe may lead where no leg reaches.
+    """
+    joints, _ = leg_joints(goals, description)
     t = np.arange(ticks) * dt / GOAL_SECONDS
     index = np.minimum(t.astype(int), len(goals) - 2)
-    share = np.minimum(t - index, 1.0)[:, None, None]
-    return goals[index] + share * (goals[index + 1] - goals[index])
+    share = smoothstep(np.minimum(t - index, 1.0))[:, None, None]
+    q = joints[index] + share * (joints[index + 1] - joints[index])
+    return front_toes(q.reshape(ticks, FRONT), description)
+
+
+def _spacious(goals: FloatArray, description: RobotDescription) -> FloatArray:
+    """Return those goals (N, 2, 3) [m] whose joints keep SPARE more than the margin of goals from their limits."""
+    joints = leg_joints(goals, description)[0].reshape(-1, FRONT)
+    q_min, q_max = description.q_min[:FRONT], description.q_max[:FRONT]
+    return goals[np.minimum(joints - q_min, q_max - joints).min(axis=1) > MARGIN + SPARE]
 
 
 def command_script(
@@ -67,7 +85,8 @@ def command_script(
     """
     dt = description.dt
     ticks = round(seconds / dt)
-    goals = draw_goals(description, int(seconds / GOAL_SECONDS) + 3, rng)
+    count = int(seconds / GOAL_SECONDS) + 3
+    goals = _spacious(draw_goals(description, 2 * count + 20, rng), description)[:count]
     if first is not None:
         goals = np.concatenate([first[None], goals])
     blocks = np.arange(ticks) * dt // COMMAND_SECONDS
@@ -76,7 +95,7 @@ def command_script(
     turns = np.cumsum(rng.uniform(-np.pi / 2, np.pi / 2, count)) if turn is None else np.full(count, turn)
     row = blocks.astype(int)
     v = np.stack([speeds[row], np.zeros(ticks)], axis=-1)
-    return CommandTrack(t=np.arange(ticks) * dt, v=v, heading=turns[row], p_BE=goal_path(goals, ticks, dt))
+    return CommandTrack(t=np.arange(ticks) * dt, v=v, heading=turns[row], p_BE=goal_path(goals, ticks, dt, description))
 
 
 def standing_track(policy: Policy, seconds: float) -> CommandTrack:

@@ -16,6 +16,7 @@ from mimic.policy.runtime import load_policy
 from mimic.records import Command, CommandTrack
 from mimic.robot.arm_torques import ArmTorques
 from mimic.robot.description import load_description
+from mimic.robot.goals import leg_joints
 from mimic.robot.leg_kinematics import front_toes
 from mimic.robot.reach import Reach
 from mimic.simulation.plant import SimulatedPlant
@@ -46,6 +47,23 @@ def test_joints_of_goals_within_reach_put_the_toes_there(robot):
     q, moved = arm_joints(toes, Reach(robot), robot.poses["upright"][:6])
     assert moved == 0
     assert front_toes(np.hstack([q, np.zeros((len(q), 6))]), robot) == pytest.approx(toes, abs=1e-9)
+
+
+def test_a_leg_that_could_also_reach_with_its_other_posture_does_not_jump_into_it(robot):
+    """From where the leg is folded over, both postures are within limits for a part of the way."""
+    reach = Reach(robot)
+    rng = np.random.default_rng(0)
+    ways = rng.uniform(reach.q_min, reach.q_max, (25, 2, 6))
+    jumps = 0
+    for begin, end in ways:
+        q = begin + np.linspace(0.0, 1.0, 150)[:, None] * (end - begin)
+        toes = reach.toes(q)
+        followed, _ = arm_joints(toes, reach, begin)
+        assert np.abs(np.diff(followed, axis=0)).max() < 0.15
+        closed_form, excess = leg_joints(toes, robot)
+        closed_form = closed_form.reshape(-1, 6)
+        jumps += bool(np.abs(np.diff(closed_form, axis=0)).max() > 0.5 and excess.max() == 0.0)
+    assert jumps > 0
 
 
 def test_a_goal_out_of_reach_becomes_the_closest_one_and_is_counted(robot):

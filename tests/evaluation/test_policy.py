@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from mimic.config.evaluation import EvaluateSettings
+from mimic.control.arms import arm_joints
 from mimic.errors import AssetError, ContractError
 from mimic.evaluation import policy
 from mimic.evaluation.policy import GOAL_SECONDS, command_script, evaluate, goal_path
 from mimic.io.assets import shipped
 from mimic.io.store import plain
-from mimic.robot.goals import leg_joints
+from mimic.robot.description import load_description
+from mimic.robot.goals import draw_goals
+from mimic.robot.reach import Reach
 
 FEW = EvaluateSettings(episodes=2, seconds=2.0, workers=1)
 
@@ -33,23 +36,28 @@ FIGURES = {
 }
 
 
-def test_a_goal_path_goes_through_its_goals_in_time():
-    goals = np.random.default_rng(0).normal(size=(4, 2, 3))
-    path = goal_path(goals, 600, 0.02)
+def test_a_goal_path_goes_through_its_goals_in_time(description):
+    goals = draw_goals(description, 4, np.random.default_rng(0))
+    path = goal_path(goals, 600, 0.02, description)
     at = round(GOAL_SECONDS / 0.02)
     assert np.allclose(path[[0, at, 2 * at, 3 * at]], goals)
-    assert np.allclose(path[at // 2], (goals[0] + goals[1]) / 2)
-    assert np.array_equal(path[-1], goals[-1])
+    assert np.array_equal(path[-1], path[3 * at])
 
 
 def script(description, seed: int = 0, **options: float):
     return command_script(description, 20.0, np.random.default_rng(seed), **options)
 
 
-def test_scripts_ask_for_reachable_toes_at_their_goals(description):
-    track = script(description)
-    _, excess = leg_joints(track.p_BE[:: round(GOAL_SECONDS / description.dt)], description)
-    assert np.abs(excess).max() < 1e-9
+@pytest.mark.parametrize("robot", ["cyberdog2", "go2"])
+def test_scripts_ask_for_toes_within_reach_all_the_way_and_no_arm_jumps(robot):
+    description = load_description(robot)
+    for seed in range(5):
+        track = script(description, seed)
+        q, out_of_reach = arm_joints(track.p_BE, Reach(description), description.poses["upright"][:6])
+        margin = np.minimum(q - description.q_min[:6], description.q_max[:6] - q).min()
+        assert out_of_reach == 0
+        assert margin > np.deg2rad(7.0) - 1e-9
+        assert np.abs(np.diff(q, axis=0)).max() < 0.1
 
 
 def test_scripts_are_those_of_their_seed(description):

@@ -39,7 +39,8 @@ class Motors:
     def drive(self, command, joints=ALL) -> None:
         if not np.isfinite(command.q_des).all():
             raise FrameError("not finite")
-        self.told.append((round(self.t, 4), "drive", float(command.q_des[0] - LIE[0]), joints, float(command.dq_des[0])))
+        target = float(command.q_des[0] - LIE[0])
+        self.told.append((round(self.t, 4), "drive", target, joints, float(command.dq_des[0])))
 
     def damp(self) -> None:
         self.told.append((round(self.t, 4), "damp"))
