@@ -24,8 +24,8 @@ SPEEDS = (-0.3, -0.25, -0.2, -0.15, -0.1, 0.1, 0.15, 0.2, 0.25, 0.3)
 """Asked [m/s]."""
 WALKS = (3.0, 6.0)
 """Durations of a walk [s]."""
-TURNED = 2.5
-"""Duration of a walk that follows one in the other direction [s]."""
+TURNED = ((0.2, 3.5), (-0.25, 5.0))
+"""Walks that follow each other [m/s, s]: about those of "forward and back"."""
 ENDING = 0.6
 """How long a walk goes on after its command [s]."""
 
@@ -55,10 +55,12 @@ def main() -> None:
     print("asked =", list(SPEEDS))
     print("walked =", walked.round(3).tolist())
     print("lost =", (WALKS[1] - far[:, 1] / walked).round(2).tolist())
-    there = np.diff(gone(policy, [(v, TURNED) for v in (0.2, -0.2) * 4], options.seed))[:-1]
-    speeds = np.interp([-0.2, 0.2] * 3, SPEEDS, walked)
-    lost = (TURNED - there / speeds).reshape(-1, 2).mean(axis=0)
-    print("reversed =", lost.round(2).tolist())
+    there = np.diff(gone(policy, list(TURNED) * 4, options.seed))[:-1]
+    back_after_forward, forward_after_back = there[0::2], there[1::2]
+    lost = []
+    for (asked, seconds), distances in zip(TURNED[::-1], (back_after_forward, forward_after_back), strict=True):
+        lost.append(seconds - float(np.mean(distances)) / float(np.interp(asked, SPEEDS, walked)))
+    print("reversed =", np.round(lost, 2).tolist())
 
 
 if __name__ == "__main__":

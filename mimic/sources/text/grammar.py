@@ -20,9 +20,10 @@ from mimic.sources.text.feasibility import MIN_DURATION
 from mimic.sources.text.meaning import Action, parse
 
 STEP_LENGTH = 0.25  # [m]
-WALK_SPEED = {"forward": 0.25, "back": 0.2}  # unless another is said [m/s]
-START_SECONDS, REVERSE_SECONDS = 0.75, 1.5  # what a walk takes beside its distance: to get going, to turn back [s]
-WALK_SECONDS, STOP_SECONDS, HOLD_SECONDS = 3.0, 0.5, 1.0  # default durations [s]
+WALK_METRES = 0.5  # unless a distance, a time or a speed is said [m]
+WALK_SPEED = {"forward": 0.25, "back": 0.15}  # unless another is said; the shipped policy walks back with 0.18 [m/s]
+START_SECONDS, REVERSE_SECONDS = 0.75, 1.65  # what a walk takes beside its distance: to get going, to turn back [s]
+STOP_SECONDS, HOLD_SECONDS = 0.5, 1.0  # default durations [s]
 MOVE_SECONDS, PUNCH_SECONDS = 0.8, 0.35  # from one arm posture to the next; a punch out, and its way back [s]
 TURN_RATE, FASTEST_TURN = math.radians(30), 1.1  # default turning rate [rad/s]; largest factor on it
 
@@ -90,16 +91,16 @@ def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray],
     most = float(reach.description.commands.velocity[0])
     metres = STEP_LENGTH * said["times"] if "times" in said else said.get("metres")
     speed = said.get("mps", min(most, WALK_SPEED[action.way] * action.speed))
-    if metres is None and action.verb == "step" and "seconds" not in said:
-        metres = STEP_LENGTH
+    timeline.open_end = action.verb == "walk" and metres is None and "seconds" not in said
+    if metres is None and "seconds" not in said and "mps" not in said:
+        metres = STEP_LENGTH if action.verb == "step" else WALK_METRES
     sign = -1.0 if action.way == "back" else 1.0
     if metres is not None and "mps" not in said:
         start = REVERSE_SECONDS if sign * timeline.before < 0.0 else START_SECONDS
         speed = metres / said.get("seconds", metres / speed + start)
     if not 0.0 < speed <= most + 1e-9:
         raise SourceError(f"{speed:.3g} m/s is not a speed of this robot; it walks with up to {most:g} m/s")
-    seconds = metres / speed if metres is not None else said.get("seconds", WALK_SECONDS)
-    timeline.open_end = action.verb == "walk" and metres is None and "seconds" not in said
+    seconds = metres / speed if metres is not None else said.get("seconds", WALK_METRES / speed)
     timeline.base.append((seconds, sign * speed, 0.0))
     count = f" {said['times']:g} times," if said.get("times", 1.0) > 1 else ""
     return f"{action.verb} {action.way}{count} {speed * seconds:.3g} m in {seconds:.3g} s"

@@ -435,6 +435,8 @@ class _Reader:
 
     def _unit(self, unit: list[Clause]) -> Groups:
         """Return the groups of clauses with one verb: what is said behind the last one belongs to all of them."""
+        if self._ends_the_walk(unit[0]):
+            return []
         groups = self._switch(unit[0])
         if unit[0].kind == "SWITCH":
             return groups
@@ -452,6 +454,16 @@ class _Reader:
             own = [[replace(action, amounts={**action.amounts, "times": 1.0}) for action in group] for group in own]
             rounds = int(unit[-1].amounts["times"])
         return [*groups, *(_apart(own * rounds, unit[-1].pause) if len(unit) > 1 else own)]
+
+    def _ends_the_walk(self, now: Clause) -> bool:
+        """Give a walk without an end the time of "stop after 5 seconds"; return whether that is what it was."""
+        before = self.before
+        if before is None or before.verb != "walk" or before.amounts:
+            return False
+        if now.kind != "WAIT" or not now.text.startswith("stop after"):
+            return False
+        before.amounts = dict(now.amounts)
+        return True
 
     def _clause(self, now: Clause, several: bool) -> Groups:
         """Return the groups of one clause."""
