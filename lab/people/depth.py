@@ -113,12 +113,16 @@ def depth_errors(seen: PoseTrack, true: PoseTrack) -> tuple[np.ndarray, np.ndarr
     return 100 * declared[known], 100 * error[known]
 
 
+def rms_of_fifths(rows: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return root mean squares (2, 5) of what is declared and of the error, in fifths of the frames."""
+    both = np.concatenate(rows, axis=1)
+    parts = np.array_split(np.argsort(both[0]), 5)
+    return np.sqrt(np.stack([(both[:, part] ** 2).mean(axis=1) for part in parts], axis=1))
+
+
 def fifths(rows: list[tuple[np.ndarray, np.ndarray]]) -> str:
-    """Return root mean squares of what is declared and of the error, in fifths of the frames."""
-    declared, error = (np.concatenate(column) for column in zip(*rows, strict=True))
-    parts = np.array_split(np.argsort(declared), 5)
-    rms = [[np.sqrt(np.mean(values[part] ** 2)) for values in (declared, error)] for part in parts]
-    return " | ".join(f"{said:.1f}, {true:.1f}" for said, true in rms)
+    """Return the same as cells of a table."""
+    return " | ".join(f"{said:.1f}, {true:.1f}" for said, true in rms_of_fifths(rows).T)
 
 
 def two_views(views: dict[str, tuple[PoseTrack, PoseTrack]], reach: Reach) -> None:

@@ -39,16 +39,13 @@ UPPER_LENGTH, FORE_LENGTH, LEAST_LENGTH = 0.94, 1.02, 0.97
 """Lengths of the bones over the longest seen; at least this share of the longest in the picture."""
 DRAWN_QUANTILE, SOLID_QUANTILE = 0.95, 0.90
 """Quantiles over time that count as the longest, in the picture and by the detector."""
-SCALE_DOUBT = 0.05
-"""Standard deviation of a bone's length, as a share of it: people's clothes, lenses and lean hide as much.
+SURE_SHARE, UNKNOWN = 0.5, 0.08
+"""Share of the network's own doubt in the declared spread, and what no picture tells, in quadrature with it [m].
 
-Source: two views of a real person against four calibrated cameras (lab/results/depth.md).
+Chosen as MEAN_SHARE is (lab/people/left_out.py).
 """
-MEAN_SHARE = 0.7
-"""Share of the network in the average depth of an arm; the rest is the detector's.
-
-With less, real people are nearer to the truth and rendered ones farther from it (lab/results/depth.md).
-"""
+MEAN_SHARE = 0.85
+"""Share of the network in the average depth of an arm; the rest is the detector's (lab/people/left_out.py)."""
 SLOW_S, MEAN_S = 0.5, 1.0
 """Standard deviation of the Gaussian over scale and heading of a clip, and over the average depth of an arm [s]."""
 FORGET_S = 1.0
@@ -94,9 +91,9 @@ def with_depth(
         unlike = gaussian_filter1d(seen.detected() - depth, MEAN_S * RATE_HZ, axis=1, mode="nearest")
         found = np.concatenate([depth + (1.0 - MEAN_SHARE) * unlike, sure], axis=2)
         at_rows = PchipInterpolator(grid, found, axis=1)(np.minimum(t[rows], grid[-1]))
-        scale, *bones = (np.interp(t[rows], grid, column) for column in (seen.scale, *seen.bones.T))
+        scale = np.interp(t[rows], grid, seen.scale)
         result[rows] = placed(landmarks[rows], image[rows], size, scale, np.moveaxis(at_rows[..., :2], 0, 1))
-        spread[rows] = _spread_with_scale(at_rows, np.stack(bones, axis=-1)).T
+        spread[rows] = np.hypot(SURE_SHARE * at_rows[..., 2], UNKNOWN).T
     return result, spread
 
 
@@ -141,8 +138,8 @@ class LiveDepth:
         depth, sure = (answer[:, -1:] for answer in _answer(seen.features()))
         self._unlike = self._unlike + share * (seen.detected()[:, -1:] - depth - self._unlike)
         depth = depth + (1.0 - MEAN_SHARE) * self._unlike
-        spread = _spread_with_scale(np.concatenate([depth, sure], axis=2), seen.bones[-1:])
-        return placed(world, picture, size, seen.scale[-1:], depth[None, :, 0])[0], spread[:, 0]
+        spread = np.hypot(SURE_SHARE * sure[:, 0, 0], UNKNOWN)
+        return placed(world, picture, size, seen.scale[-1:], depth[None, :, 0])[0], spread
 
 
 def placed(
@@ -262,21 +259,6 @@ def _answer(features: FloatArray) -> tuple[FloatArray, FloatArray]:
     (found,) = _network().run(None, {"features": framed(features).astype(np.float32)})
     found = np.asarray(found, dtype=np.float64)
     return found[..., :2], found[..., 2:3]
-
-
-def _spread_with_scale(found: FloatArray, bones: FloatArray) -> FloatArray:
-    """Return the spread of each wrist's depth (2, T) [m], with what unsure lengths of the bones add to it.
-
-    Where a bone of length L has the depth z, its picture is as long as L² - z² says: a bone across the picture hides
-    far more depth behind a wrong length than one that points along the line of sight.
-
-    Args:
-        found: Depth of elbow and wrist from the shoulder, and spread by the network (2, T, 3) [m].
-        bones: Lengths of upper arm and forearm (T, 2) [m].
-    """
-    z = np.stack([found[..., 0], found[..., 1] - found[..., 0]], axis=-1)
-    hidden = np.sqrt(z**2 + 2.0 * SCALE_DOUBT * bones**2) - np.abs(z)
-    return np.hypot(found[..., 2], hidden.sum(axis=-1))
 
 
 def _to_average(landmarks: FloatArray, image: FloatArray, size: tuple[int, int]) -> FloatArray:

@@ -15,8 +15,8 @@ WIDTH = 0.70
 """Width of the shoulders over the height of the trunk, as the detector has them from the front."""
 LEANING = 0.85
 """A greater one is of a trunk that leans to the camera, and tells nothing."""
-SHARE = 0.5
-"""Share of the shoulders' width in the heading; fitted with WIDTH to two real men and two rendered bodies."""
+SHARE = 0.25
+"""Share of the shoulders' width in the heading; chosen with WIDTH by lab/people/left_out.py."""
 FOCAL = 0.75
 """Focal length of a camera of which nothing is known [longer sides of the picture]."""
 

@@ -21,9 +21,12 @@ ACROSS = 0.6
 SQUEEZED = (0.86, 1.07)
 """Usual width over height of the upper body in the picture, as a share of the same in the landmarks: 0.87 to 1.03 of
 people, 0.75 to 0.96 and 1.03 to 1.21 of five of them squeezed by half."""
+BENT, LEANT = 60.0, 35.0
+"""Bend of the hips and lean of the trunk in the picture from which a person does not stand, in a tenth of the rows: of
+people who stand at most 46 and 29, who sit, squat or lie at least 82 degrees."""
 
-_SHOULDERS, _WRISTS, _HIPS = (
-    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "wrist", "hip")
+_SHOULDERS, _WRISTS, _HIPS, _KNEES = (
+    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "wrist", "hip", "knee")
 )
 _TRUNK = _SHOULDERS + _HIPS
 _UPPER = [LANDMARKS.index(name) for name in ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow")]
@@ -138,9 +141,24 @@ def posture(landmarks: FloatArray, image: FloatArray, valid: BoolArray, size: tu
     metres, pixels = (points - points.mean(axis=1, keepdims=True) for points in (metres, pixels))
     slopes = (metres * pixels).sum(axis=1) / (metres**2).sum(axis=1)
     wide = float(np.median(slopes[:, 0] / slopes[:, 1]))
-    if SQUEEZED[0] <= wide <= SQUEEZED[1]:
-        return ""
-    return (
-        f"the person is {'narrower' if wide < 1.0 else 'wider'} than people are; if the picture is squeezed, restore "
-        "its width and height"
-    )
+    if not SQUEEZED[0] <= wide <= SQUEEZED[1]:
+        return (
+            f"the person is {'narrower' if wide < 1.0 else 'wider'} than people are; if the picture is squeezed, "
+            "restore its width and height"
+        )
+    lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
+    if np.quantile(lean, 0.9) > LEANT or _hips_bent(landmarks, valid) > BENT:
+        return "the person bends, sits, squats or leans: the robot moves its front legs as the arms, and does not"
+    return ""
+
+
+def _hips_bent(landmarks: FloatArray, valid: BoolArray) -> float:
+    """Return the bend of the straighter hip that a tenth of the rows exceeds [deg]; 0 where no knees are seen."""
+    limbs = [_SHOULDERS, _HIPS, _KNEES]
+    rows = valid[:, sum(limbs, [])].all(axis=1)
+    if not rows.any():
+        return 0.0
+    shoulders, hips, knees = (landmarks[rows][:, limb] for limb in limbs)
+    trunk, thighs = (shoulders - hips).mean(axis=1, keepdims=True), knees - hips
+    cosine = -(thighs * trunk).sum(axis=-1) / np.linalg.norm(thighs, axis=-1) / np.linalg.norm(trunk, axis=-1)
+    return float(np.quantile(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).min(axis=1), 0.9))

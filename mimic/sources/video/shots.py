@@ -19,6 +19,8 @@ DIM = 0.5
 """A fade takes about this long on each side [s]; clothes are compared outside it."""
 FEWEST = 3
 """Rows that each side of a cut, and rows with a person that each side of another person must have."""
+STEADY = 0.8
+"""Least share of them from the first to the last: what is found and lost in turn is nobody (0.7 on a silhouette)."""
 GAP, AWAY = 0.25, 1.0
 """After a longer gap it may be another person who is seen, in another place, and in the same place [s]."""
 JUMP = 0.4
@@ -179,7 +181,7 @@ def _is_other(
         return False
     gap = t[after[0]] - t[before[-1]]
     before, after = before[t[before] > t[before[-1]] - WINDOW], after[t[after] < t[after[0]] + WINDOW]
-    if min(len(before), len(after)) < FEWEST:
+    if any(len(side) < max(FEWEST, STEADY * (1 + side[-1] - side[0])) for side in (before, after)):
         return False
     colour = float(np.linalg.norm(_median(clothes[before]) - _median(clothes[after])))
     if kind != "person":
