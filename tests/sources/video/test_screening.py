@@ -9,7 +9,8 @@ SIZE = (640, 480)
 def standing(rows: int = 100) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """t, landmarks, image and valid of a person of 300 px to the metre who stands still."""
     landmarks = np.zeros((rows, 33, 3))
-    for name, place in {"shoulder": (0.18, -0.5, 0), "wrist": (0.3, 0, 0), "hip": (0.1, 0, 0)}.items():
+    places = {"shoulder": (0.18, -0.5, 0), "wrist": (0.3, 0, 0), "hip": (0.1, 0, 0), "knee": (0.1, 0.4, 0)}
+    for name, place in places.items():
         landmarks[:, LANDMARKS.index(f"left_{name}")] = place
         landmarks[:, LANDMARKS.index(f"right_{name}")] = np.array(place) * (-1, 1, 1)
     image = (landmarks[..., :2] * 300 + np.array([320.0, 300.0])) / np.array([640.0, 480.0])
@@ -73,6 +74,19 @@ def test_a_person_on_their_head_lying_or_squeezed_is_noticed():
     assert "turned by 90°" in posture(landmarks, image[..., ::-1], valid, SIZE)
     assert "narrower" in posture(landmarks, image, valid, (SIZE[0] // 2, SIZE[1]))
     assert "wider" in posture(landmarks, image, valid, (SIZE[0] * 2, SIZE[1]))
+
+
+def test_who_sits_or_leans_is_told_that_the_robot_does_not():
+    _, landmarks, image, valid = standing()
+    knees = [LANDMARKS.index(f"{side}_knee") for side in ("left", "right")]
+    seated = landmarks.copy()
+    seated[:, knees] = seated[:, knees] * (1, 0, 1) + (0, 0.05, -0.4)
+    assert "sits" in posture(seated, image, valid, SIZE)
+    seated[:, knees[0]] = landmarks[:, knees[0]]  # one leg is lifted
+    assert posture(seated, image, valid, SIZE) == ""
+    shear = np.array([[1.0, 0.0], [-0.9, 1.0]])
+    leaning = (image * SIZE - (320, 300)) @ shear / SIZE + np.array([320, 300]) / SIZE
+    assert "leans" in posture(landmarks, leaning, valid, SIZE)
 
 
 def test_a_body_whose_limbs_and_size_change_all_the_time_is_invented():

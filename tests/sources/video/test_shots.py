@@ -69,6 +69,15 @@ def test_who_turns_and_shows_a_back_of_another_colour_is_the_same_person():
     assert clip.changes() == (Change(AT + 12, "person", True),)
 
 
+def test_what_is_found_and_lost_in_turn_is_no_other_person():
+    clip = Clip()
+    clip.person[AT : AT + 4] = False
+    clip.place(slice(AT, None), 0.9, 0.5)
+    assert [change.kind for change in clip.changes()] == ["person"]
+    clip.person[AT + 5 :: 2] = False
+    assert clip.changes() == ()
+
+
 def test_a_fade_through_black_is_a_change_and_a_dark_start_or_end_is_none():
     clip = Clip()
     clip.light[:5] = clip.light[-5:] = (3.0, 1.0)
