@@ -81,10 +81,7 @@ def _seen_by(view: Path) -> np.ndarray:
 
 def estimated(seen: PoseTrack) -> PoseTrack:
     """Return the track with estimated depth."""
-    shots = np.flatnonzero(np.diff(seen.shot) > 0) + 1
-    landmarks, spread = with_depth(seen.t, seen.landmarks, seen.image, seen.score, seen.size, shots)
-    landmarks = with_heading(landmarks, seen.image, seen.valid, seen.size, shots)
-    return replace(seen, landmarks=landmarks, depth_spread=spread)
+    return with_heading(with_depth(seen))
 
 
 def forward(seen: PoseTrack, true: PoseTrack) -> tuple[float, float, float]:

@@ -2,9 +2,9 @@
 
     python -m lab.people.left_out MAN=VIEWS WOMAN=VIDEO@left,VIDEO [...]
 
-A person has a name and clips with truth, as `lab.people.depth` takes them, and who it is in the picture. In the order of STEPS each share or limit
-takes the value with which the people that are not left out come nearest to the truth, each person counting once. Last,
-all people together choose: what mimic uses should be that.
+A person has a name and clips with truth, as `lab.people.depth` takes them; behind @ is who it is in the picture. In the
+order of STEPS the numbers take the values with which the people that are not left out come nearest to the truth, each
+person counting once. Last, all people together choose: what mimic uses should be that.
 """
 
 from __future__ import annotations
@@ -125,7 +125,8 @@ def main() -> None:
             for path in sorted(Path(folder).glob("*.mp4")) or [Path(folder)]:
                 seen = track_video(path, PoseSettings(depth=False, person=who or None))
                 people[name].append((seen, true_track(path, seen)))
-    print(f"| left out | {', '.join(name for step in STEPS for name in step.names)} | detector | targets [cm] | heading off | fifths |")
+    names = ", ".join(name for step in STEPS for name in step.names)
+    print(f"| left out | {names} | detector | targets [cm] | heading off | fifths |")
     print("|---|---|---|---|---|---|")
     apart = []
     for left_out, clips in people.items():

@@ -12,7 +12,7 @@ Across and up, the arms come from the picture, with perspective.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -21,7 +21,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from mimic.io.assets import shipped
-from mimic.records import LANDMARKS, SIDES, FloatArray, IntArray
+from mimic.records import LANDMARKS, SIDES, FloatArray, PoseTrack
 from mimic.sources.video.screening import spread_of
 from mimic.sources.video.smoothing import segments
 
@@ -62,29 +62,13 @@ _NOSE = LANDMARKS.index("nose")
 _TRUNK = [*_SHOULDERS, *_HIPS]
 
 
-def with_depth(
-    t: FloatArray,
-    landmarks: FloatArray,
-    image: FloatArray,
-    score: FloatArray,
-    size: tuple[int, int],
-    shots: IntArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the landmarks of a whole clip with arms of estimated depth (T, 33, 3) [m], and its spread (T, 2) [m].
-
-    The spread is the standard deviation of each wrist's depth from its shoulder, NaN where nothing was estimated.
-
-    Args:
-        t: Times (T,) [s].
-        landmarks: Mid-hip -> landmark, smooth (T, 33, 3), camera axes [m]; NaN rows without a person.
-        image: Place in the picture, smooth (T, 33, 2), fractions of width and height.
-        score: Visibility (T, 33).
-        size: Width and height of the picture [px].
-        shots: Rows at which a new shot begins.
-    """
-    result, spread = np.array(landmarks, dtype=np.float64), np.full((len(t), 2), np.nan)
-    for rows in segments(t, np.flatnonzero(np.isfinite(landmarks[:, 0, 0])), shots):
-        grid, seen = sight(t[rows], landmarks[rows], image[rows], score[rows], size)
+def with_depth(track: PoseTrack) -> PoseTrack:
+    """Return the smooth track of a whole clip with arms of estimated depth, and its spread."""
+    t, size = track.t, track.size
+    landmarks, spread = np.array(track.landmarks, dtype=np.float64), np.full((len(t), 2), np.nan)
+    for rows in segments(t, np.flatnonzero(np.isfinite(landmarks[:, 0, 0])), track.cuts()):
+        image = track.image[rows]
+        grid, seen = sight(t[rows], landmarks[rows], image, track.score[rows], size)
         if len(grid) < SHORTEST:
             continue
         depth, sure = _answer(seen.features())
@@ -92,9 +76,9 @@ def with_depth(
         found = np.concatenate([depth + (1.0 - MEAN_SHARE) * unlike, sure], axis=2)
         at_rows = PchipInterpolator(grid, found, axis=1)(np.minimum(t[rows], grid[-1]))
         scale = np.interp(t[rows], grid, seen.scale)
-        result[rows] = placed(landmarks[rows], image[rows], size, scale, np.moveaxis(at_rows[..., :2], 0, 1))
+        landmarks[rows] = placed(landmarks[rows], image, size, scale, np.moveaxis(at_rows[..., :2], 0, 1))
         spread[rows] = np.hypot(SURE_SHARE * at_rows[..., 2], UNKNOWN).T
-    return result, spread
+    return replace(track, landmarks=landmarks, depth_spread=spread)
 
 
 class LiveDepth:
@@ -231,7 +215,7 @@ def sight(
     """Return times at RATE_HZ and what the network sees of a segment of a track then.
 
     Args:
-        t, landmarks, image, score, size: As `with_depth` takes them, without gaps.
+        t, landmarks, image, score, size: As in a pose track, without gaps.
     """
     grid = np.arange(float(t[0]), float(t[-1]) + 1e-9, 1.0 / RATE_HZ)
     world, picture, visible = (_at(grid, t, values) for values in (landmarks, image, score))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
+from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray, PoseTrack
 
 CUT_CHANGE = 8.0
 """Minimum thumbnail change at a cut [grey levels of 255]; a hard cut between similar rooms gives 22."""
@@ -58,35 +58,24 @@ def shot_starts(change: FloatArray) -> IntArray:
     return np.flatnonzero((change > CUT_CHANGE) & (change > CUT_RATIO * (np.max(neighbours, axis=0) + 1.0)))
 
 
-def jump_share(
-    t: FloatArray,
-    landmarks: FloatArray,
-    image: FloatArray,
-    valid: BoolArray,
-    size: tuple[int, int],
-    max_jump: float,
-) -> float:
-    """Return the share of frames in which a wrist or the whole person jumps.
-
-    Args:
-        t: Times (T,) [s].
-        landmarks: Mid-hip -> landmark (T, 33, 3) [m].
-        image: Image coordinates (T, 33, 2), fractions of width and height.
-        valid: Which landmarks are usable (T, 33).
-        size: Width and height of the image [px].
-        max_jump: A larger movement from one frame to the next is a jump [m].
-    """
-    rows = np.flatnonzero(valid[:, _SHOULDERS].all(axis=1))
+def jump_share(track: PoseTrack, max_jump: float) -> float:
+    """Return the share of frames in which a wrist or the whole person moves by more than ``max_jump`` [m] at once."""
+    rows = np.flatnonzero(track.valid[:, _SHOULDERS].all(axis=1))
     if len(rows) < 2:
         return 0.0
-    limit = max_jump * np.maximum(1.0, np.diff(t[rows]) / FRAME)
-    wrists = np.where(valid[rows][:, _WRISTS, None], landmarks[rows][:, _WRISTS], np.nan)
+    limit = max_jump * np.maximum(1.0, np.diff(track.t[rows]) / FRAME)
+    wrists = np.where(track.valid[rows][:, _WRISTS, None], track.landmarks[rows][:, _WRISTS], np.nan)
     wrists_moved = np.linalg.norm(np.diff(wrists, axis=0), axis=-1)
-    pixels = image[rows][:, _TRUNK] * np.asarray(size, dtype=np.float64)
-    metres = landmarks[rows][:, _TRUNK, :2]
+    pixels = in_pixels(track)[rows][:, _TRUNK]
+    metres = track.landmarks[rows][:, _TRUNK, :2]
     scale = np.median(spread_of(metres) / np.maximum(spread_of(pixels), 1e-9))
     body_moved = scale * np.linalg.norm(np.diff(pixels[:, :2].mean(axis=1), axis=0), axis=-1)
     return float(((wrists_moved > limit[:, None]).any(axis=1) | (body_moved > limit)).mean())
+
+
+def in_pixels(track: PoseTrack) -> FloatArray:
+    """Return where the landmarks are in the picture (T, 33, 2) [px]."""
+    return track.image * np.asarray(track.size, dtype=np.float64)
 
 
 def spread_of(points: FloatArray) -> FloatArray:
@@ -94,41 +83,30 @@ def spread_of(points: FloatArray) -> FloatArray:
     return np.sqrt(((points - points.mean(axis=1, keepdims=True)) ** 2).sum(axis=-1).mean(axis=1))
 
 
-def unsteadiness(landmarks: FloatArray, image: FloatArray, rows: BoolArray, size: tuple[int, int]) -> FloatArray:
+def unsteadiness(track: PoseTrack, rows: BoolArray) -> FloatArray:
     """Return how much the bones of a found body change, and its size in the picture from one row to the next.
 
     First is the standard deviation over the mean of arms and shoulder line, last the 90th percentile of the change
-    of the natural logarithm of pixels in a metre.
-
-    Args:
-        landmarks: Mid-hip -> landmark (T, 33, 3) [m].
-        image: Image coordinates (T, 33, 2), fractions of width and height.
-        rows: Those that show a person (T,).
-        size: Width and height of the image [px].
+    of the natural logarithm of pixels in a metre, in the rows (T,) that show a person.
     """
-    metres, pixels = landmarks[rows], image[rows] * np.asarray(size, dtype=np.float64)
+    metres, pixels = track.landmarks[rows], in_pixels(track)[rows]
     bones = np.linalg.norm(metres[:, _BONES[:, 0]] - metres[:, _BONES[:, 1]], axis=-1)
     scale = np.log(spread_of(pixels[:, _UPPER]) / spread_of(metres[:, _UPPER, :2]))
     steps = np.abs(np.diff(scale))[np.diff(np.flatnonzero(rows)) == 1]
     return np.array([(bones.std(axis=0) / bones.mean(axis=0)).mean(), np.quantile(steps, 0.9) if len(steps) else 0.0])
 
 
-def is_invented(landmarks: FloatArray, image: FloatArray, rows: BoolArray, size: tuple[int, int]) -> bool:
-    """Return whether a body that was found is none: neither its bones nor its size keep. Arguments: `unsteadiness`."""
-    return bool((unsteadiness(landmarks, image, rows, size) > UNSTEADY).all()) if rows.sum() > 2 else False
+def is_invented(track: PoseTrack, rows: BoolArray) -> bool:
+    """Return whether a body that was found in some rows (T,) is none: neither its bones nor its size keep."""
+    return rows.sum() > 2 and bool((unsteadiness(track, rows) > UNSTEADY).all())
 
 
-def posture(landmarks: FloatArray, image: FloatArray, valid: BoolArray, size: tuple[int, int]) -> str:
-    """Return a sentence about a picture, or a person, that is turned or squeezed; empty where it is neither.
-
-    Args:
-        landmarks, image, size: As of `unsteadiness`.
-        valid: Which landmarks are usable (T, 33).
-    """
-    rows = valid[:, _TRUNK].all(axis=1)
+def posture(track: PoseTrack) -> str:
+    """Return a sentence about a picture that is turned or squeezed, or a person who does not stand; else nothing."""
+    rows = track.valid[:, _TRUNK].all(axis=1)
     if not rows.any():
         return ""
-    metres, pixels = landmarks[rows][:, _UPPER, :2], image[rows][:, _UPPER] * np.asarray(size, dtype=np.float64)
+    metres, pixels = track.landmarks[rows][:, _UPPER, :2], in_pixels(track)[rows][:, _UPPER]
     trunk = pixels[:, :2].mean(axis=1) - pixels[:, 6:8].mean(axis=1)
     up = float(np.median(-trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=-1), 1e-9)))
     if up < -ACROSS:
@@ -147,18 +125,17 @@ def posture(landmarks: FloatArray, image: FloatArray, valid: BoolArray, size: tu
             "restore its width and height"
         )
     lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
-    if np.quantile(lean, 0.9) > LEANT or _hips_bent(landmarks, valid) > BENT:
+    if np.quantile(lean, 0.9) > LEANT or _hips_bent(track) > BENT:
         return "the person bends, sits, squats or leans: the robot moves its front legs as the arms, and does not"
     return ""
 
 
-def _hips_bent(landmarks: FloatArray, valid: BoolArray) -> float:
+def _hips_bent(track: PoseTrack) -> float:
     """Return the bend of the straighter hip that a tenth of the rows exceeds [deg]; 0 where no knees are seen."""
-    limbs = [_SHOULDERS, _HIPS, _KNEES]
-    rows = valid[:, sum(limbs, [])].all(axis=1)
+    rows = track.valid[:, _TRUNK + _KNEES].all(axis=1)
     if not rows.any():
         return 0.0
-    shoulders, hips, knees = (landmarks[rows][:, limb] for limb in limbs)
+    shoulders, hips, knees = (track.landmarks[rows][:, limb] for limb in (_SHOULDERS, _HIPS, _KNEES))
     trunk, thighs = (shoulders - hips).mean(axis=1, keepdims=True), knees - hips
     cosine = -(thighs * trunk).sum(axis=-1) / np.linalg.norm(thighs, axis=-1) / np.linalg.norm(trunk, axis=-1)
     return float(np.quantile(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).min(axis=1), 0.9))

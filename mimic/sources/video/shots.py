@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
-from mimic.sources.video.screening import shot_starts
+from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.sources.video.screening import in_pixels, shot_starts
 
 DARK, FLAT = 24.0, 10.0
 """A frame with a lower mean and a lower spread of its thumbnail is black [grey levels of 255]."""
@@ -82,27 +82,19 @@ def clothes_colour(rgb: np.ndarray, image: FloatArray) -> FloatArray:
 
 
 def find_changes(
-    t: FloatArray,
-    change: FloatArray,
-    light: FloatArray,
-    image: FloatArray,
-    person: BoolArray,
-    clothes: FloatArray,
-    size: tuple[int, int],
+    track: PoseTrack, person: BoolArray, clothes: FloatArray, change: FloatArray, light: FloatArray
 ) -> tuple[Change, ...]:
     """Return the changes of a clip in order of time.
 
     Args:
-        t: Times (T,) [s].
-        change: Difference of each frame's thumbnail from the previous one (T,) [grey levels].
-        light: Mean and spread of the brightness of each frame (T, 2) [grey levels].
-        image: Landmarks (T, 33, 2), fraction of width and height.
+        track: What was detected.
         person: Rows that show a person (T,).
         clothes: Colour of the clothes in each row (T, 3), L*a*b*.
-        size: Width and height of the picture [px].
+        change: Difference of each frame's thumbnail from the previous one (T,) [grey levels].
+        light: Mean and spread of the brightness of each frame (T, 2) [grey levels].
     """
     found: dict[int, Kind] = {}
-    rows, trunks = np.flatnonzero(person), _trunks(image, size)
+    t, rows, trunks = track.t, np.flatnonzero(person), _trunks(track)
     candidates: tuple[tuple[Kind, Iterable[int]], ...] = (
         ("fade", _after_black(light)),
         ("cut", (row for row in shot_starts(change) if FEWEST <= row <= len(t) - FEWEST)),
@@ -144,9 +136,9 @@ def _after_black(light: FloatArray) -> IntArray:
     return starts[starts > np.argmin(black)] if not black.all() else starts[:0]
 
 
-def _trunks(image: FloatArray, size: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+def _trunks(track: PoseTrack) -> tuple[FloatArray, FloatArray]:
     """Return place (T, 2) and height (T,) of the trunk [px], which is at least as high as the shoulders are wide."""
-    flat = image * np.asarray(size, dtype=np.float64)
+    flat = in_pixels(track)
     shoulders, hips = flat[:, _SHOULDERS].mean(axis=1), flat[:, _HIPS].mean(axis=1)
     wide = np.linalg.norm(flat[:, _SHOULDERS[0]] - flat[:, _SHOULDERS[1]], axis=-1)
     return shoulders, np.maximum(np.linalg.norm(hips - shoulders, axis=-1), wide)

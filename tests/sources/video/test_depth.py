@@ -1,6 +1,6 @@
 import numpy as np
 
-from mimic.records import LANDMARKS
+from mimic.records import LANDMARKS, PoseTrack
 from mimic.sources.video.depth import LiveDepth, placed, with_depth
 from mimic.sources.video.left_right import other_side
 
@@ -10,7 +10,17 @@ NO_SHOTS = np.zeros(0, dtype=np.int64)
 
 def estimated(t: np.ndarray, landmarks: np.ndarray, image: np.ndarray, shots: np.ndarray = NO_SHOTS):
     """Landmarks with depth, and spread, of someone who is seen well."""
-    return with_depth(t, landmarks, image, np.ones((len(t), 33)), SIZE, shots)
+    return estimated_as_seen(t, landmarks, image, np.ones((len(t), 33)), shots)
+
+
+def estimated_as_seen(t: np.ndarray, landmarks: np.ndarray, image: np.ndarray, score: np.ndarray, shots: np.ndarray):
+    """The same of someone with some visibility."""
+    track = PoseTrack(
+        t=t, landmarks=landmarks, image=image, score=score, valid=score > 0.5, swapped=np.zeros(len(t), dtype=bool),
+        size=SIZE, shot=np.searchsorted(shots, np.arange(len(t)), "right").astype(float),
+    )  # fmt: skip
+    found = with_depth(track)
+    return found.landmarks, found.depth_spread
 
 
 def estimated_live(live: LiveDepth, t: float, landmarks: np.ndarray, image: np.ndarray):
@@ -94,9 +104,9 @@ def test_depth_is_found_from_the_picture_and_the_spread_is_of_the_size_of_the_er
 def test_an_arm_that_is_hidden_is_less_sure():
     t, landmarks, image = someone(8.0)
     score = np.ones((len(t), 33))
-    _, seen = with_depth(t, landmarks, image, score, SIZE, NO_SHOTS)
+    _, seen = estimated_as_seen(t, landmarks, image, score, NO_SHOTS)
     score[:, [LANDMARKS.index(f"left_{part}") for part in ("elbow", "wrist")]] = 0.1
-    _, hidden = with_depth(t, landmarks, image, score, SIZE, NO_SHOTS)
+    _, hidden = estimated_as_seen(t, landmarks, image, score, NO_SHOTS)
     assert hidden[:, 0].mean() > 1.05 * seen[:, 0].mean()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.records import LANDMARKS
+from mimic.records import LANDMARKS, PoseTrack
 from mimic.sources.video.shots import Change, clothes_colour, describe, find_changes, lightness
 
 SIZE = (640, 480)
@@ -31,7 +31,12 @@ class Clip:
                 self.image[rows, LANDMARKS.index(f"{side}_{name}")] = point
 
     def changes(self) -> tuple[Change, ...]:
-        return find_changes(self.t, self.change, self.light, self.image, self.person, self.clothes, SIZE)
+        score = np.ones((ROWS, 33))
+        track = PoseTrack(
+            t=self.t, landmarks=np.zeros((ROWS, 33, 3)), image=self.image, score=score, valid=score > 0.5,
+            swapped=np.zeros(ROWS, dtype=bool), size=SIZE,
+        )  # fmt: skip
+        return find_changes(track, self.person, self.clothes, self.change, self.light)
 
 
 def test_a_person_who_stands_or_walks_is_one_person():
