@@ -24,7 +24,7 @@ import numpy as np
 from mimic.config.pose import PoseSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.flows.motion import track_video
-from mimic.records import LANDMARKS, PoseTrack
+from mimic.records import LANDMARKS, SHOULDERS, WRISTS, PoseTrack
 from mimic.retargeting.targets import target_track
 from mimic.retargeting.wrists import torso_heading, wrist_track
 from mimic.robot.description import load_description
@@ -35,9 +35,6 @@ from mimic.sources.video.two_views import merge_views
 
 STILL = RetargetSettings(keep_peaks=False)
 SIDES = {"L": "left", "R": "right"}
-WRISTS, SHOULDERS = (
-    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("wrist", "shoulder")
-)
 
 
 def true_track(path: Path, like: PoseTrack) -> PoseTrack:

@@ -12,7 +12,7 @@ from mimic.errors import SourceError
 from mimic.flows.motion import InputSettings, Motion
 from mimic.flows.reporter import Reporter
 from mimic.io import store
-from mimic.records import PHASES, CommandTrack, FloatArray, LiveTrack, PoseTrack, Provenance, RunLog
+from mimic.records import PHASES, WRISTS, CommandTrack, FloatArray, LiveTrack, PoseTrack, Provenance, RunLog
 
 if TYPE_CHECKING:
     from mimic.sources.video.camera import CameraFrame
@@ -50,7 +50,7 @@ class CameraRecord:
     def track(self) -> LiveTrack:
         """Return the rows as a record."""
         rows = self.seen
-        wrists = [[bool(row.valid[i]) for i in (15, 16)] for row in rows]
+        wrists = [[bool(row.valid[i]) for i in WRISTS] for row in rows]
         return LiveTrack(
             t=np.array([row.t for row in rows]) - self.began,
             latency=np.array(self.latency),

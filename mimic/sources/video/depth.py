@@ -21,7 +21,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from mimic.io.assets import shipped
-from mimic.records import LANDMARKS, SIDES, FloatArray, PoseTrack
+from mimic.records import ELBOWS, HIPS, LANDMARKS, SHOULDERS, SIDES, WRISTS, FloatArray, PoseTrack
 from mimic.sources.video.screening import spread_of
 from mimic.sources.video.smoothing import segments
 
@@ -53,13 +53,10 @@ FORGET_S = 1.0
 REMEMBERED = 900
 """Frames of a camera in which bones are measured."""
 
-_SHOULDERS, _ELBOWS, _WRISTS, _INDEX, _HIPS, _EARS = (
-    [LANDMARKS.index(f"{side}_{part}") for side in SIDES]
-    for part in ("shoulder", "elbow", "wrist", "index", "hip", "ear")
-)
+_INDEX, _EARS = ([LANDMARKS.index(f"{side}_{part}") for side in SIDES] for part in ("index", "ear"))
 _HANDS = [[LANDMARKS.index(f"{side}_{part}") for part in ("pinky", "index", "thumb")] for side in SIDES]
 _NOSE = LANDMARKS.index("nose")
-_TRUNK = [*_SHOULDERS, *_HIPS]
+_TRUNK = [*SHOULDERS, *HIPS]
 
 
 def with_depth(track: PoseTrack) -> PoseTrack:
@@ -142,12 +139,12 @@ def placed(
     flat, away = _metres(image, size, scale), LENS * max(size) * scale
     result = np.array(landmarks, dtype=np.float64)
     for side in range(2):
-        shoulder = _SHOULDERS[side]
-        for part, point in enumerate((_ELBOWS[side], _WRISTS[side])):
+        shoulder = SHOULDERS[side]
+        for part, point in enumerate((ELBOWS[side], WRISTS[side])):
             z = depth[:, side, part]
             across = flat[:, point] * (1.0 + z / away)[:, None] - flat[:, shoulder]
             result[:, point] = landmarks[:, shoulder] + np.column_stack([across, z])
-        moved = result[:, _WRISTS[side]] - landmarks[:, _WRISTS[side]]
+        moved = result[:, WRISTS[side]] - landmarks[:, WRISTS[side]]
         result[:, _HANDS[side]] += moved[:, None]
     return result
 
@@ -186,21 +183,21 @@ class Seen:
     def detected(self) -> FloatArray:
         """Return the depth of elbow and wrist from the shoulder as the detector places them (2, T, 2) [m]."""
         z = self.world[..., 2]
-        return np.stack([z[:, [_ELBOWS[i], _WRISTS[i]]] - z[:, [_SHOULDERS[i]]] for i in range(2)])
+        return np.stack([z[:, [ELBOWS[i], WRISTS[i]]] - z[:, [SHOULDERS[i]]] for i in range(2)])
 
     def _of_arm(self, side: int) -> FloatArray:
         other, mirror, rows = 1 - side, 1.0 - 2.0 * side, len(self.world)
         points = [
-            _ELBOWS[side], _WRISTS[side], _INDEX[side], _SHOULDERS[other], _ELBOWS[other], _WRISTS[other],
-            _HIPS[side], _HIPS[other], _NOSE, _EARS[side], _EARS[other],
+            ELBOWS[side], WRISTS[side], _INDEX[side], SHOULDERS[other], ELBOWS[other], WRISTS[other],
+            HIPS[side], HIPS[other], _NOSE, _EARS[side], _EARS[other],
         ]  # fmt: skip
-        drawn = (self.flat[:, points] - self.flat[:, [_SHOULDERS[side]]]) * (mirror, 1.0)
-        solid = (self.world[:, points] - self.world[:, [_SHOULDERS[side]]]) * (mirror, 1.0, 1.0)
+        drawn = (self.flat[:, points] - self.flat[:, [SHOULDERS[side]]]) * (mirror, 1.0)
+        solid = (self.world[:, points] - self.world[:, [SHOULDERS[side]]]) * (mirror, 1.0, 1.0)
         heading = self.line[:, [0, 2]] * (1.0, mirror)
         heading = heading / np.maximum(np.linalg.norm(heading, axis=1, keepdims=True), 1e-9)
         upper, fore = drawn[:, 0], drawn[:, 1] - drawn[:, 0]
         drawn_share = np.linalg.norm(np.stack([upper, fore], axis=1), axis=2) / self.bones
-        arms = [_ELBOWS[side], _WRISTS[side], _ELBOWS[other], _WRISTS[other]]
+        arms = [ELBOWS[side], WRISTS[side], ELBOWS[other], WRISTS[other]]
         columns = (drawn, solid[..., 2], solid[:, :2, :2], heading, self.score[:, arms], drawn_share, self.bones)
         return np.concatenate([column.reshape(rows, -1) for column in columns], axis=1)
 
@@ -247,7 +244,7 @@ def _answer(features: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _to_average(landmarks: FloatArray, image: FloatArray, size: tuple[int, int]) -> FloatArray:
     """Return how far shoulders and hips are spread [m, px], and their right -> left line [m] (T, 5)."""
-    first, last = [_SHOULDERS[0], _HIPS[0]], [_SHOULDERS[1], _HIPS[1]]
+    first, last = [SHOULDERS[0], HIPS[0]], [SHOULDERS[1], HIPS[1]]
     line = (landmarks[:, first] - landmarks[:, last]).sum(axis=1)
     drawn = np.maximum(spread_of(image[:, _TRUNK] * np.asarray(size, float)), 1e-6)
     return np.column_stack([spread_of(landmarks[:, _TRUNK, :2]), drawn, line])
@@ -260,7 +257,7 @@ def _metres(image: FloatArray, size: tuple[int, int], scale: FloatArray) -> Floa
 
 def _lengths(landmarks: FloatArray, flat: FloatArray) -> FloatArray:
     """Return the lengths of the bones (T, 2, 2, 2) [m]: upper arm, forearm; in the picture, by the detector; sides."""
-    pairs = ((_SHOULDERS, _ELBOWS), (_ELBOWS, _WRISTS))
+    pairs = ((SHOULDERS, ELBOWS), (ELBOWS, WRISTS))
     return np.stack(
         [np.stack([np.linalg.norm(p[:, b] - p[:, a], axis=-1) for p in (flat, landmarks)], axis=1) for a, b in pairs],
         axis=1,

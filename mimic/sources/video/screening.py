@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.records import ELBOWS, HIPS, KNEES, LANDMARKS, SHOULDERS, WRISTS, BoolArray, FloatArray, IntArray, PoseTrack
 
 CUT_CHANGE = 8.0
 """Minimum thumbnail change at a cut [grey levels of 255]; a hard cut between similar rooms gives 22."""
@@ -25,12 +25,8 @@ BENT, LEANT = 60.0, 35.0
 """Bend of the hips and lean of the trunk in the picture from which a person does not stand, in a tenth of the rows: of
 people who stand at most 46 and 29, who sit, squat or lie at least 82 degrees."""
 
-_SHOULDERS, _WRISTS, _HIPS, _KNEES = (
-    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "wrist", "hip", "knee")
-)
-_TRUNK = _SHOULDERS + _HIPS
-_UPPER = [LANDMARKS.index(name) for name in ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow")]
-_UPPER += [*_WRISTS, *_HIPS, LANDMARKS.index("nose")]
+_TRUNK = SHOULDERS + HIPS
+_UPPER = [*SHOULDERS, *ELBOWS, *WRISTS, *HIPS, LANDMARKS.index("nose")]
 _BONES = np.array([(11, 12), (11, 13), (12, 14), (13, 15), (14, 16)])
 """Shoulder line, upper arms and forearms in LANDMARKS."""
 
@@ -45,7 +41,7 @@ def person_rows(score: FloatArray, min_visibility: float) -> BoolArray:
         min_visibility: Minimum visibility of a detected landmark.
     """
     seen = score >= min_visibility
-    return np.logical_and(seen[:, _SHOULDERS].all(axis=1), seen[:, _WRISTS].any(axis=1))
+    return np.logical_and(seen[:, SHOULDERS].all(axis=1), seen[:, WRISTS].any(axis=1))
 
 
 def shot_starts(change: FloatArray) -> IntArray:
@@ -60,11 +56,11 @@ def shot_starts(change: FloatArray) -> IntArray:
 
 def jump_share(track: PoseTrack, max_jump: float) -> float:
     """Return the share of frames in which a wrist or the whole person moves by more than ``max_jump`` [m] at once."""
-    rows = np.flatnonzero(track.valid[:, _SHOULDERS].all(axis=1))
+    rows = np.flatnonzero(track.valid[:, SHOULDERS].all(axis=1))
     if len(rows) < 2:
         return 0.0
     limit = max_jump * np.maximum(1.0, np.diff(track.t[rows]) / FRAME)
-    wrists = np.where(track.valid[rows][:, _WRISTS, None], track.landmarks[rows][:, _WRISTS], np.nan)
+    wrists = np.where(track.valid[rows][:, WRISTS, None], track.landmarks[rows][:, WRISTS], np.nan)
     wrists_moved = np.linalg.norm(np.diff(wrists, axis=0), axis=-1)
     pixels = in_pixels(track)[rows][:, _TRUNK]
     metres = track.landmarks[rows][:, _TRUNK, :2]
@@ -76,6 +72,18 @@ def jump_share(track: PoseTrack, max_jump: float) -> float:
 def in_pixels(track: PoseTrack) -> FloatArray:
     """Return where the landmarks are in the picture (T, 33, 2) [px]."""
     return track.image * np.asarray(track.size, dtype=np.float64)
+
+
+def trunk_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the middle of the shoulders and the height of the trunk, at least the width of the shoulders.
+
+    Args:
+        points: Landmarks (..., 33, 2), in one unit across and down.
+    """
+    left, right = points[..., SHOULDERS[0], :], points[..., SHOULDERS[1], :]
+    middle = (left + right) / 2
+    high = np.linalg.norm(points[..., HIPS, :].mean(axis=-2) - middle, axis=-1)
+    return middle, np.maximum(high, np.linalg.norm(left - right, axis=-1))
 
 
 def spread_of(points: FloatArray) -> FloatArray:
@@ -132,10 +140,10 @@ def posture(track: PoseTrack) -> str:
 
 def _hips_bent(track: PoseTrack) -> float:
     """Return the bend of the straighter hip that a tenth of the rows exceeds [deg]; 0 where no knees are seen."""
-    rows = track.valid[:, _TRUNK + _KNEES].all(axis=1)
+    rows = track.valid[:, _TRUNK + KNEES].all(axis=1)
     if not rows.any():
         return 0.0
-    shoulders, hips, knees = (track.landmarks[rows][:, limb] for limb in (_SHOULDERS, _HIPS, _KNEES))
+    shoulders, hips, knees = (track.landmarks[rows][:, limb] for limb in (SHOULDERS, HIPS, KNEES))
     trunk, thighs = (shoulders - hips).mean(axis=1, keepdims=True), knees - hips
     cosine = -(thighs * trunk).sum(axis=-1) / np.linalg.norm(thighs, axis=-1) / np.linalg.norm(trunk, axis=-1)
     return float(np.quantile(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).min(axis=1), 0.9))
