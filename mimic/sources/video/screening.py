@@ -22,8 +22,8 @@ SQUEEZED = (0.86, 1.07)
 """Usual width over height of the upper body in the picture, as a share of the same in the landmarks: 0.87 to 1.03 of
 people, 0.75 to 0.96 and 1.03 to 1.21 of five of them squeezed by half."""
 BENT, LEANT = 60.0, 35.0
-"""Bend of the hips and lean of the trunk in the picture from which a person does not stand, in a tenth of the rows: of
-people who stand at most 46 and 29, who sit, squat or lie at least 82 degrees."""
+"""Bend of the hips and lean of the trunk in the picture beyond which a person does not stand, in a fifth of the rows: of
+people who stand at most 34 and 23, who sit, squat or lie at least 78 degrees."""
 
 _TRUNK = SHOULDERS + HIPS
 _UPPER = [*SHOULDERS, *ELBOWS, *WRISTS, *HIPS, LANDMARKS.index("nose")]
@@ -133,17 +133,17 @@ def posture(track: PoseTrack) -> str:
             "restore its width and height"
         )
     lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
-    if np.quantile(lean, 0.9) > LEANT or _hips_bent(track) > BENT:
+    if np.quantile(lean, 0.8) > LEANT or _hips_bent(track) > BENT:
         return "the person bends, sits, squats or leans: the robot moves its front legs as the arms, and does not"
     return ""
 
 
 def _hips_bent(track: PoseTrack) -> float:
-    """Return the bend of the straighter hip that a tenth of the rows exceeds [deg]; 0 where no knees are seen."""
+    """Return the bend of the straighter hip that a fifth of the rows exceeds [deg]; 0 where no knees are seen."""
     rows = track.valid[:, _TRUNK + KNEES].all(axis=1)
     if not rows.any():
         return 0.0
     shoulders, hips, knees = (track.landmarks[rows][:, limb] for limb in (SHOULDERS, HIPS, KNEES))
     trunk, thighs = (shoulders - hips).mean(axis=1, keepdims=True), knees - hips
     cosine = -(thighs * trunk).sum(axis=-1) / np.linalg.norm(thighs, axis=-1) / np.linalg.norm(trunk, axis=-1)
-    return float(np.quantile(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).min(axis=1), 0.9))
+    return float(np.quantile(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).min(axis=1), 0.8))
