@@ -22,8 +22,8 @@ SQUEEZED = (0.86, 1.07)
 """Usual width over height of the upper body in the picture, as a share of the same in the landmarks: 0.87 to 1.03 of
 people, 0.75 to 0.96 and 1.03 to 1.21 of five of them squeezed by half."""
 BENT, LEANT = 60.0, 35.0
-"""Bend of the hips and lean of the trunk in the picture beyond which a person does not stand, in a fifth of the rows: of
-people who stand at most 34 and 23, who sit, squat or lie at least 78 degrees."""
+"""Bend of the hips and lean of the trunk in the picture beyond which a person does not stand, in a fifth of the rows:
+of people who stand at most 34 and 23, who sit, squat or lie at least 78 degrees."""
 
 _TRUNK = SHOULDERS + HIPS
 _UPPER = [*SHOULDERS, *ELBOWS, *WRISTS, *HIPS, LANDMARKS.index("nose")]
