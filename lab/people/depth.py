@@ -24,7 +24,7 @@ import numpy as np
 from mimic.config.pose import PoseSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.flows.motion import track_video
-from mimic.records import LANDMARKS, PoseTrack
+from mimic.records import LANDMARKS, SHOULDERS, WRISTS, PoseTrack
 from mimic.retargeting.targets import target_track
 from mimic.retargeting.wrists import torso_heading, wrist_track
 from mimic.robot.description import load_description
@@ -35,9 +35,6 @@ from mimic.sources.video.two_views import merge_views
 
 STILL = RetargetSettings(keep_peaks=False)
 SIDES = {"L": "left", "R": "right"}
-WRISTS, SHOULDERS = (
-    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("wrist", "shoulder")
-)
 
 
 def true_track(path: Path, like: PoseTrack) -> PoseTrack:
@@ -81,10 +78,7 @@ def _seen_by(view: Path) -> np.ndarray:
 
 def estimated(seen: PoseTrack) -> PoseTrack:
     """Return the track with estimated depth."""
-    shots = np.flatnonzero(np.diff(seen.shot) > 0) + 1
-    landmarks, spread = with_depth(seen.t, seen.landmarks, seen.image, seen.score, seen.size, shots)
-    landmarks = with_heading(landmarks, seen.image, seen.valid, seen.size, shots)
-    return replace(seen, landmarks=landmarks, depth_spread=spread)
+    return with_heading(with_depth(seen))
 
 
 def forward(seen: PoseTrack, true: PoseTrack) -> tuple[float, float, float]:
@@ -113,12 +107,16 @@ def depth_errors(seen: PoseTrack, true: PoseTrack) -> tuple[np.ndarray, np.ndarr
     return 100 * declared[known], 100 * error[known]
 
 
+def rms_of_fifths(rows: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return root mean squares (2, 5) of what is declared and of the error, in fifths of the frames."""
+    both = np.concatenate(rows, axis=1)
+    parts = np.array_split(np.argsort(both[0]), 5)
+    return np.sqrt(np.stack([(both[:, part] ** 2).mean(axis=1) for part in parts], axis=1))
+
+
 def fifths(rows: list[tuple[np.ndarray, np.ndarray]]) -> str:
-    """Return root mean squares of what is declared and of the error, in fifths of the frames."""
-    declared, error = (np.concatenate(column) for column in zip(*rows, strict=True))
-    parts = np.array_split(np.argsort(declared), 5)
-    rms = [[np.sqrt(np.mean(values[part] ** 2)) for values in (declared, error)] for part in parts]
-    return " | ".join(f"{said:.1f}, {true:.1f}" for said, true in rms)
+    """Return the same as cells of a table."""
+    return " | ".join(f"{said:.1f}, {true:.1f}" for said, true in rms_of_fifths(rows).T)
 
 
 def two_views(views: dict[str, tuple[PoseTrack, PoseTrack]], reach: Reach) -> None:

@@ -97,7 +97,7 @@ class LiveSettings:
     """How long the target of a lost hand is held before the arm goes down to hang [s]."""
     min_cutoff: float = 1.5
     """Minimum cut-off of the One-Euro filter [Hz]; lower means less jitter and more lag."""
-    beta: float = 4.0
+    beta: float = 8.0
     """Speed coefficient of the One-Euro filter: rise of the cut-off with the speed of the hand [Hz s/m]."""
     camera_size: tuple[int, int] = (640, 480)
     """Requested width and height of the camera picture [px]."""

@@ -12,7 +12,7 @@ from mimic.errors import SourceError
 from mimic.flows.motion import InputSettings, Motion
 from mimic.flows.reporter import Reporter
 from mimic.io import store
-from mimic.records import PHASES, CommandTrack, FloatArray, LiveTrack, PoseTrack, Provenance, RunLog
+from mimic.records import PHASES, WRISTS, CommandTrack, FloatArray, LiveTrack, PoseTrack, Provenance, RunLog
 
 if TYPE_CHECKING:
     from mimic.sources.video.camera import CameraFrame
@@ -50,7 +50,7 @@ class CameraRecord:
     def track(self) -> LiveTrack:
         """Return the rows as a record."""
         rows = self.seen
-        wrists = [[bool(row.valid[i]) for i in (15, 16)] for row in rows]
+        wrists = [[bool(row.valid[i]) for i in WRISTS] for row in rows]
         return LiveTrack(
             t=np.array([row.t for row in rows]) - self.began,
             latency=np.array(self.latency),
@@ -88,9 +88,8 @@ class CameraRecord:
         person = person_rows(track.score, pose.min_visibility)
         clothes = np.array([row.clothes for row in rows])
         still, light = np.zeros(len(rows)), np.full((len(rows), 2), 100.0)  # a camera has no cuts and no fades
-        changes = find_changes(track.t, still, light, track.image, person, clothes, track.size)
-        doubtful = doubts(track.t, track.landmarks, track.image, track.score, track.swapped, track.size, pose)
-        return (*rows[-1].people, *describe(changes, track.t), *doubtful)
+        changes = find_changes(track, person, clothes, still, light)
+        return (*rows[-1].people, *describe(changes, track.t), *doubts(track, pose))
 
     def report(self, pose: PoseTrack, reporter: Reporter) -> None:
         """Say what a run of a video says: doubts, an arm that is not seen, where the camera is."""

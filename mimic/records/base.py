@@ -61,6 +61,10 @@ LANDMARKS = (
     "right_foot_index",
 )
 """The 33 landmarks of BlazePose, in its order. Left and right are the person's."""
+SHOULDERS, ELBOWS, WRISTS, HIPS, KNEES = (
+    [LANDMARKS.index(f"{side}_{part}") for side in SIDES] for part in ("shoulder", "elbow", "wrist", "hip", "knee")
+)
+"""Left and right in LANDMARKS."""
 
 AXES: Mapping[str, tuple[str, ...]] = {
     "xyz": ("x", "y", "z"),

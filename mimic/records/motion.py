@@ -55,6 +55,10 @@ class PoseTrack(Record):
             raise ContractError(f"the track has no landmark {name!r}; it has {', '.join(self.names)}")
         return self.names.index(name)
 
+    def cuts(self) -> IntArray:
+        """Return the rows at which a new shot begins."""
+        return np.flatnonzero(np.diff(self.shot) > 0) + 1
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class WristTrack(Record):

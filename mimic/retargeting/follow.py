@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.records import LANDMARKS, BoolArray, FloatArray
+from mimic.records import HIPS, SHOULDERS, BoolArray, FloatArray
 
 FOCAL = 0.87
 """Focal length over the picture's width: 60 degrees across, as most webcams have."""
@@ -20,7 +20,7 @@ DEAD = 0.08
 FORGET = 1.0
 """The filter restarts after a gap of this length [s]."""
 
-_TRUNK = [LANDMARKS.index(f"{side}_{part}") for part in ("shoulder", "hip") for side in ("left", "right")]
+_TRUNK = [*SHOULDERS, *HIPS]
 
 
 class Follower:

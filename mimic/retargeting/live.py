@@ -16,7 +16,7 @@ import numpy as np
 from mimic.config.pose import LiveSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.geometry import wrap_angle
-from mimic.records import LANDMARKS, SIDES, BoolArray, Command, FloatArray
+from mimic.records import HIPS, SHOULDERS, SIDES, WRISTS, BoolArray, Command, FloatArray
 from mimic.retargeting.follow import Follower
 from mimic.retargeting.limits import limit_step
 from mimic.retargeting.one_euro import OneEuro
@@ -34,10 +34,6 @@ SHORTEST_ARM = 0.35
 """Arms count as at least this long, as they may be bent at first [m]."""
 FORGET = 0.5
 """A filter restarts after a gap of this length [s]."""
-
-_SHOULDERS, _WRISTS, _HIPS = (
-    [LANDMARKS.index(f"{side}_{part}") for side in SIDES] for part in ("shoulder", "wrist", "hip")
-)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -82,9 +78,9 @@ class LiveRetarget:
             valid: Which landmarks count (33,).
             aspect: Width of the image over its height.
         """
-        seen = valid[_SHOULDERS] & valid[_WRISTS]
+        seen = valid[SHOULDERS] & valid[WRISTS]
         heading = self._turned(t, landmarks, valid)
-        arms = landmarks[_WRISTS] - landmarks[_SHOULDERS]
+        arms = landmarks[WRISTS] - landmarks[SHOULDERS]
         for side in np.flatnonzero(seen):
             if t - self._last_seen[side] > FORGET:
                 self._filters[side].forget()
@@ -110,10 +106,10 @@ class LiveRetarget:
 
     def _turned(self, t: float, landmarks: FloatArray, valid: BoolArray) -> float:
         """Return the heading of the torso [rad]: of the slow average of the right -> left line, or the one given."""
-        if valid[_SHOULDERS].all():
-            line = landmarks[_SHOULDERS[0]] - landmarks[_SHOULDERS[1]]
-            if valid[_HIPS].all():
-                line = line + landmarks[_HIPS[0]] - landmarks[_HIPS[1]]
+        if valid[SHOULDERS].all():
+            line = landmarks[SHOULDERS[0]] - landmarks[SHOULDERS[1]]
+            if valid[HIPS].all():
+                line = line + landmarks[HIPS[0]] - landmarks[HIPS[1]]
             turning = self._live.follow or self._settings.turns
             tau = 1.0 / (2.0 * np.pi * (TURN_CUTOFF_HZ if turning else HEADING_HZ))
             share = 1.0 if self._line is None else min(1.0, (t - self._line_t) / tau)

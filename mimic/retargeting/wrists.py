@@ -119,7 +119,7 @@ def torso_heading(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Flo
 
 def _parts(pose: PoseTrack) -> list[slice]:
     """Return the rows of each uninterrupted part."""
-    starts = [0, *(np.flatnonzero(np.diff(np.nan_to_num(pose.shot)) != 0) + 1), len(pose.t)]
+    starts = [0, *pose.cuts(), len(pose.t)]
     return [slice(int(a), int(b)) for a, b in pairwise(starts)]
 
 

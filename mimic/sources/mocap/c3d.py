@@ -5,6 +5,7 @@ Source: "The C3D File Format User Guide", Motion Lab Systems, 2008: groups POINT
 
 from __future__ import annotations
 
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -62,9 +63,5 @@ def _value(group: Any, name: str) -> Any:
 
 def _labels(group: Any) -> list[str]:
     """Return the labels of all markers; beyond 255 they go on in LABELS2, LABELS3, …"""
-    found: list[str] = list(group["LABELS"]["value"])
-    more = 2
-    while f"LABELS{more}" in group:
-        found += list(group[f"LABELS{more}"]["value"])
-        more += 1
-    return found
+    names = takewhile(group.__contains__, ("LABELS", *(f"LABELS{n}" for n in range(2, 1000))))
+    return [label for name in names for label in group[name]["value"]]

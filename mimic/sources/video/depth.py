@@ -12,7 +12,7 @@ Across and up, the arms come from the picture, with perspective.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -21,7 +21,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from mimic.io.assets import shipped
-from mimic.records import LANDMARKS, SIDES, FloatArray, IntArray
+from mimic.records import ELBOWS, HIPS, LANDMARKS, SHOULDERS, SIDES, WRISTS, FloatArray, PoseTrack
 from mimic.sources.video.screening import spread_of
 from mimic.sources.video.smoothing import segments
 
@@ -39,16 +39,13 @@ UPPER_LENGTH, FORE_LENGTH, LEAST_LENGTH = 0.94, 1.02, 0.97
 """Lengths of the bones over the longest seen; at least this share of the longest in the picture."""
 DRAWN_QUANTILE, SOLID_QUANTILE = 0.95, 0.90
 """Quantiles over time that count as the longest, in the picture and by the detector."""
-SCALE_DOUBT = 0.05
-"""Standard deviation of a bone's length, as a share of it: people's clothes, lenses and lean hide as much.
+SURE_SHARE, UNKNOWN = 0.5, 0.08
+"""Share of the network's own doubt in the declared spread, and what no picture tells, in quadrature with it [m].
 
-Source: two views of a real person against four calibrated cameras (lab/results/depth.md).
+Chosen as MEAN_SHARE is (lab/people/left_out.py).
 """
-MEAN_SHARE = 0.7
-"""Share of the network in the average depth of an arm; the rest is the detector's.
-
-With less, real people are nearer to the truth and rendered ones farther from it (lab/results/depth.md).
-"""
+MEAN_SHARE = 0.85
+"""Share of the network in the average depth of an arm; the rest is the detector's (lab/people/left_out.py)."""
 SLOW_S, MEAN_S = 0.5, 1.0
 """Standard deviation of the Gaussian over scale and heading of a clip, and over the average depth of an arm [s]."""
 FORGET_S = 1.0
@@ -56,48 +53,29 @@ FORGET_S = 1.0
 REMEMBERED = 900
 """Frames of a camera in which bones are measured."""
 
-_SHOULDERS, _ELBOWS, _WRISTS, _INDEX, _HIPS, _EARS = (
-    [LANDMARKS.index(f"{side}_{part}") for side in SIDES]
-    for part in ("shoulder", "elbow", "wrist", "index", "hip", "ear")
-)
+_INDEX, _EARS = ([LANDMARKS.index(f"{side}_{part}") for side in SIDES] for part in ("index", "ear"))
 _HANDS = [[LANDMARKS.index(f"{side}_{part}") for part in ("pinky", "index", "thumb")] for side in SIDES]
 _NOSE = LANDMARKS.index("nose")
-_TRUNK = [*_SHOULDERS, *_HIPS]
+_TRUNK = [*SHOULDERS, *HIPS]
 
 
-def with_depth(
-    t: FloatArray,
-    landmarks: FloatArray,
-    image: FloatArray,
-    score: FloatArray,
-    size: tuple[int, int],
-    shots: IntArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the landmarks of a whole clip with arms of estimated depth (T, 33, 3) [m], and its spread (T, 2) [m].
-
-    The spread is the standard deviation of each wrist's depth from its shoulder, NaN where nothing was estimated.
-
-    Args:
-        t: Times (T,) [s].
-        landmarks: Mid-hip -> landmark, smooth (T, 33, 3), camera axes [m]; NaN rows without a person.
-        image: Place in the picture, smooth (T, 33, 2), fractions of width and height.
-        score: Visibility (T, 33).
-        size: Width and height of the picture [px].
-        shots: Rows at which a new shot begins.
-    """
-    result, spread = np.array(landmarks, dtype=np.float64), np.full((len(t), 2), np.nan)
-    for rows in segments(t, np.flatnonzero(np.isfinite(landmarks[:, 0, 0])), shots):
-        grid, seen = sight(t[rows], landmarks[rows], image[rows], score[rows], size)
+def with_depth(track: PoseTrack) -> PoseTrack:
+    """Return the smooth track of a whole clip with arms of estimated depth, and its spread."""
+    t, size = track.t, track.size
+    landmarks, spread = np.array(track.landmarks, dtype=np.float64), np.full((len(t), 2), np.nan)
+    for rows in segments(t, np.flatnonzero(np.isfinite(landmarks[:, 0, 0])), track.cuts()):
+        image = track.image[rows]
+        grid, seen = sight(t[rows], landmarks[rows], image, track.score[rows], size)
         if len(grid) < SHORTEST:
             continue
         depth, sure = _answer(seen.features())
         unlike = gaussian_filter1d(seen.detected() - depth, MEAN_S * RATE_HZ, axis=1, mode="nearest")
         found = np.concatenate([depth + (1.0 - MEAN_SHARE) * unlike, sure], axis=2)
         at_rows = PchipInterpolator(grid, found, axis=1)(np.minimum(t[rows], grid[-1]))
-        scale, *bones = (np.interp(t[rows], grid, column) for column in (seen.scale, *seen.bones.T))
-        result[rows] = placed(landmarks[rows], image[rows], size, scale, np.moveaxis(at_rows[..., :2], 0, 1))
-        spread[rows] = _spread_with_scale(at_rows, np.stack(bones, axis=-1)).T
-    return result, spread
+        scale = np.interp(t[rows], grid, seen.scale)
+        landmarks[rows] = placed(landmarks[rows], image, size, scale, np.moveaxis(at_rows[..., :2], 0, 1))
+        spread[rows] = np.hypot(SURE_SHARE * at_rows[..., 2], UNKNOWN).T
+    return replace(track, landmarks=landmarks, depth_spread=spread)
 
 
 class LiveDepth:
@@ -141,8 +119,8 @@ class LiveDepth:
         depth, sure = (answer[:, -1:] for answer in _answer(seen.features()))
         self._unlike = self._unlike + share * (seen.detected()[:, -1:] - depth - self._unlike)
         depth = depth + (1.0 - MEAN_SHARE) * self._unlike
-        spread = _spread_with_scale(np.concatenate([depth, sure], axis=2), seen.bones[-1:])
-        return placed(world, picture, size, seen.scale[-1:], depth[None, :, 0])[0], spread[:, 0]
+        spread = np.hypot(SURE_SHARE * sure[:, 0, 0], UNKNOWN)
+        return placed(world, picture, size, seen.scale[-1:], depth[None, :, 0])[0], spread
 
 
 def placed(
@@ -161,12 +139,12 @@ def placed(
     flat, away = _metres(image, size, scale), LENS * max(size) * scale
     result = np.array(landmarks, dtype=np.float64)
     for side in range(2):
-        shoulder = _SHOULDERS[side]
-        for part, point in enumerate((_ELBOWS[side], _WRISTS[side])):
+        shoulder = SHOULDERS[side]
+        for part, point in enumerate((ELBOWS[side], WRISTS[side])):
             z = depth[:, side, part]
             across = flat[:, point] * (1.0 + z / away)[:, None] - flat[:, shoulder]
             result[:, point] = landmarks[:, shoulder] + np.column_stack([across, z])
-        moved = result[:, _WRISTS[side]] - landmarks[:, _WRISTS[side]]
+        moved = result[:, WRISTS[side]] - landmarks[:, WRISTS[side]]
         result[:, _HANDS[side]] += moved[:, None]
     return result
 
@@ -205,21 +183,21 @@ class Seen:
     def detected(self) -> FloatArray:
         """Return the depth of elbow and wrist from the shoulder as the detector places them (2, T, 2) [m]."""
         z = self.world[..., 2]
-        return np.stack([z[:, [_ELBOWS[i], _WRISTS[i]]] - z[:, [_SHOULDERS[i]]] for i in range(2)])
+        return np.stack([z[:, [ELBOWS[i], WRISTS[i]]] - z[:, [SHOULDERS[i]]] for i in range(2)])
 
     def _of_arm(self, side: int) -> FloatArray:
         other, mirror, rows = 1 - side, 1.0 - 2.0 * side, len(self.world)
         points = [
-            _ELBOWS[side], _WRISTS[side], _INDEX[side], _SHOULDERS[other], _ELBOWS[other], _WRISTS[other],
-            _HIPS[side], _HIPS[other], _NOSE, _EARS[side], _EARS[other],
+            ELBOWS[side], WRISTS[side], _INDEX[side], SHOULDERS[other], ELBOWS[other], WRISTS[other],
+            HIPS[side], HIPS[other], _NOSE, _EARS[side], _EARS[other],
         ]  # fmt: skip
-        drawn = (self.flat[:, points] - self.flat[:, [_SHOULDERS[side]]]) * (mirror, 1.0)
-        solid = (self.world[:, points] - self.world[:, [_SHOULDERS[side]]]) * (mirror, 1.0, 1.0)
+        drawn = (self.flat[:, points] - self.flat[:, [SHOULDERS[side]]]) * (mirror, 1.0)
+        solid = (self.world[:, points] - self.world[:, [SHOULDERS[side]]]) * (mirror, 1.0, 1.0)
         heading = self.line[:, [0, 2]] * (1.0, mirror)
         heading = heading / np.maximum(np.linalg.norm(heading, axis=1, keepdims=True), 1e-9)
         upper, fore = drawn[:, 0], drawn[:, 1] - drawn[:, 0]
         drawn_share = np.linalg.norm(np.stack([upper, fore], axis=1), axis=2) / self.bones
-        arms = [_ELBOWS[side], _WRISTS[side], _ELBOWS[other], _WRISTS[other]]
+        arms = [ELBOWS[side], WRISTS[side], ELBOWS[other], WRISTS[other]]
         columns = (drawn, solid[..., 2], solid[:, :2, :2], heading, self.score[:, arms], drawn_share, self.bones)
         return np.concatenate([column.reshape(rows, -1) for column in columns], axis=1)
 
@@ -234,7 +212,7 @@ def sight(
     """Return times at RATE_HZ and what the network sees of a segment of a track then.
 
     Args:
-        t, landmarks, image, score, size: As `with_depth` takes them, without gaps.
+        t, landmarks, image, score, size: As in a pose track, without gaps.
     """
     grid = np.arange(float(t[0]), float(t[-1]) + 1e-9, 1.0 / RATE_HZ)
     world, picture, visible = (_at(grid, t, values) for values in (landmarks, image, score))
@@ -264,24 +242,9 @@ def _answer(features: FloatArray) -> tuple[FloatArray, FloatArray]:
     return found[..., :2], found[..., 2:3]
 
 
-def _spread_with_scale(found: FloatArray, bones: FloatArray) -> FloatArray:
-    """Return the spread of each wrist's depth (2, T) [m], with what unsure lengths of the bones add to it.
-
-    Where a bone of length L has the depth z, its picture is as long as L² - z² says: a bone across the picture hides
-    far more depth behind a wrong length than one that points along the line of sight.
-
-    Args:
-        found: Depth of elbow and wrist from the shoulder, and spread by the network (2, T, 3) [m].
-        bones: Lengths of upper arm and forearm (T, 2) [m].
-    """
-    z = np.stack([found[..., 0], found[..., 1] - found[..., 0]], axis=-1)
-    hidden = np.sqrt(z**2 + 2.0 * SCALE_DOUBT * bones**2) - np.abs(z)
-    return np.hypot(found[..., 2], hidden.sum(axis=-1))
-
-
 def _to_average(landmarks: FloatArray, image: FloatArray, size: tuple[int, int]) -> FloatArray:
     """Return how far shoulders and hips are spread [m, px], and their right -> left line [m] (T, 5)."""
-    first, last = [_SHOULDERS[0], _HIPS[0]], [_SHOULDERS[1], _HIPS[1]]
+    first, last = [SHOULDERS[0], HIPS[0]], [SHOULDERS[1], HIPS[1]]
     line = (landmarks[:, first] - landmarks[:, last]).sum(axis=1)
     drawn = np.maximum(spread_of(image[:, _TRUNK] * np.asarray(size, float)), 1e-6)
     return np.column_stack([spread_of(landmarks[:, _TRUNK, :2]), drawn, line])
@@ -294,7 +257,7 @@ def _metres(image: FloatArray, size: tuple[int, int], scale: FloatArray) -> Floa
 
 def _lengths(landmarks: FloatArray, flat: FloatArray) -> FloatArray:
     """Return the lengths of the bones (T, 2, 2, 2) [m]: upper arm, forearm; in the picture, by the detector; sides."""
-    pairs = ((_SHOULDERS, _ELBOWS), (_ELBOWS, _WRISTS))
+    pairs = ((SHOULDERS, ELBOWS), (ELBOWS, WRISTS))
     return np.stack(
         [np.stack([np.linalg.norm(p[:, b] - p[:, a], axis=-1) for p in (flat, landmarks)], axis=1) for a, b in pairs],
         axis=1,

@@ -7,16 +7,19 @@ the shoulders over the height of the trunk tells how far a trunk is turned, but 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from mimic.records import LANDMARKS, SIDES, BoolArray, FloatArray, IntArray
+from mimic.records import LANDMARKS, SIDES, BoolArray, FloatArray, PoseTrack
+from mimic.sources.video.screening import in_pixels
 
 WIDTH = 0.70
 """Width of the shoulders over the height of the trunk, as the detector has them from the front."""
 LEANING = 0.85
 """A greater one is of a trunk that leans to the camera, and tells nothing."""
-SHARE = 0.5
-"""Share of the shoulders' width in the heading; fitted with WIDTH to two real men and two rendered bodies."""
+SHARE = 0.25
+"""Share of the shoulders' width in the heading; chosen with WIDTH by lab/people/left_out.py."""
 FOCAL = 0.75
 """Focal length of a camera of which nothing is known [longer sides of the picture]."""
 
@@ -25,21 +28,14 @@ _LEFT, _RIGHT = ([[LANDMARKS.index(f"{side}_{part}") for part in parts.split()] 
 """What moves with a shoulder and with a hip."""
 
 
-def with_heading(
-    landmarks: FloatArray, image: FloatArray, valid: BoolArray, size: tuple[int, int], shots: IntArray
-) -> FloatArray:
-    """Return landmarks whose lines of shoulders and hips face where the person does; arms and legs go with them.
+def with_heading(track: PoseTrack) -> PoseTrack:
+    """Return a track whose lines of shoulders and hips face where the person does; arms and legs go with them.
 
-    Args:
-        landmarks: Mid-hip -> landmark (T, 33, 3), camera axes [m].
-        image: Image coordinates (T, 33, 2), fractions of width and height.
-        valid: Which landmarks are usable (T, 33).
-        size: Width and height of the picture [px].
-        shots: Rows at which a new shot begins; each is turned by one angle.
+    Each shot is turned by one angle.
     """
-    result = landmarks.copy()
-    for rows in np.split(np.arange(len(landmarks)), shots):
-        turn = _turn(landmarks[rows], image[rows] * np.asarray(size, dtype=np.float64), valid[rows], size)
+    landmarks, pixels, result = track.landmarks, in_pixels(track), track.landmarks.copy()
+    for rows in np.split(np.arange(len(landmarks)), track.cuts()):
+        turn = _turn(landmarks[rows], pixels[rows], track.valid[rows], track.size)
         c, s = np.cos(turn), np.sin(turn)
         for left, right in zip(_LEFT, _RIGHT, strict=True):
             half = (landmarks[rows, left[0]] - landmarks[rows, right[0]]) / 2
@@ -47,7 +43,7 @@ def with_heading(
             moved = np.stack([c * x - s * z - x, np.zeros(len(x)), s * x + c * z - z], axis=-1)[:, None]
             result[rows[:, None], left] += moved
             result[rows[:, None], right] -= moved
-    return result
+    return replace(track, landmarks=result)
 
 
 def _turn(landmarks: FloatArray, pixels: FloatArray, valid: BoolArray, size: tuple[int, int]) -> float:

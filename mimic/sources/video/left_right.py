@@ -21,11 +21,10 @@ MEMORY = 0.3
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
-def other_side(names: tuple[str, ...] = LANDMARKS) -> IntArray:
+def other_side() -> IntArray:
     """Return for each landmark the index of its counterpart on the other side (L,); its own index if it has none."""
     swap = {"left": "right", "right": "left"}
-    mirrored = ("_".join(swap.get(part, part) for part in name.split("_")) for name in names)
-    return np.array([names.index(m) if m in names else i for i, m in enumerate(mirrored)])
+    return np.array([LANDMARKS.index("_".join(swap.get(p, p) for p in name.split("_"))) for name in LANDMARKS])
 
 
 def side_costs(before: FloatArray, now: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -16,8 +16,9 @@ from typing import Literal
 import numpy as np
 
 from mimic.errors import SourceError
-from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
+from mimic.records import SHOULDERS, WRISTS, BoolArray, FloatArray, IntArray
 from mimic.sources.video.blazepose import Everybody
+from mimic.sources.video.screening import trunk_of
 from mimic.sources.video.shots import OTHER_COLOUR, clothes_colour
 
 Choice = Literal["left", "right", "largest"] | int
@@ -47,9 +48,6 @@ WIDE = 1.2
 """A picture with a longer side than this many shorter ones is also searched in squares: people who are small in the
 whole of it are found there. Where nobody was chosen, every second look does so."""
 
-_SHOULDERS, _WRISTS, _HIPS = (
-    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "wrist", "hip")
-)
 CHOOSE = "--person left|right|largest|N chooses"
 _ORDINALS = ("left", "second from the left", "third from the left", "fourth from the left", "fifth from the left")
 
@@ -75,11 +73,9 @@ class Person:
 def person_of(image: FloatArray, aspect: float, colour: FloatArray | None = None) -> Person:
     """Return the person of landmarks (33, 2), fraction of width and height of a picture with this width over height."""
     points = image * (aspect, 1.0)
-    shoulders, hips = points[_SHOULDERS], points[_HIPS].mean(axis=0)
-    middle = shoulders.mean(axis=0)
-    trunk = max(float(np.linalg.norm(hips - middle)), float(np.linalg.norm(shoulders[0] - shoulders[1])), 1e-3)
+    middle, trunk = trunk_of(points)
     colour = np.full(3, np.nan) if colour is None else colour
-    return Person(middle, trunk, points.min(axis=0), points.max(axis=0), colour)
+    return Person(middle, max(float(trunk), 1e-3), points.min(axis=0), points.max(axis=0), colour)
 
 
 def distinct(found: list[Person]) -> list[Person]:
@@ -308,7 +304,7 @@ class People:
         return [
             image
             for image, score in self._everybody(rgb)
-            if min(score[_SHOULDERS].min(), score[_WRISTS].max()) >= VISIBLE
+            if min(score[SHOULDERS].min(), score[WRISTS].max()) >= VISIBLE
         ]
 
     def sentences(self) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
+from mimic.records import ELBOWS, HIPS, KNEES, LANDMARKS, SHOULDERS, WRISTS, BoolArray, FloatArray, IntArray, PoseTrack
 
 CUT_CHANGE = 8.0
 """Minimum thumbnail change at a cut [grey levels of 255]; a hard cut between similar rooms gives 22."""
@@ -21,13 +21,12 @@ ACROSS = 0.6
 SQUEEZED = (0.86, 1.07)
 """Usual width over height of the upper body in the picture, as a share of the same in the landmarks: 0.87 to 1.03 of
 people, 0.75 to 0.96 and 1.03 to 1.21 of five of them squeezed by half."""
+BENT, LEANT = 60.0, 35.0
+"""Bend of the hips and lean of the trunk in the picture beyond which a person does not stand, in a fifth of the rows:
+of people who stand at most 34 and 23, who sit, squat or lie at least 78 degrees."""
 
-_SHOULDERS, _WRISTS, _HIPS = (
-    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "wrist", "hip")
-)
-_TRUNK = _SHOULDERS + _HIPS
-_UPPER = [LANDMARKS.index(name) for name in ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow")]
-_UPPER += [*_WRISTS, *_HIPS, LANDMARKS.index("nose")]
+_TRUNK = SHOULDERS + HIPS
+_UPPER = [*SHOULDERS, *ELBOWS, *WRISTS, *HIPS, LANDMARKS.index("nose")]
 _BONES = np.array([(11, 12), (11, 13), (12, 14), (13, 15), (14, 16)])
 """Shoulder line, upper arms and forearms in LANDMARKS."""
 
@@ -42,7 +41,7 @@ def person_rows(score: FloatArray, min_visibility: float) -> BoolArray:
         min_visibility: Minimum visibility of a detected landmark.
     """
     seen = score >= min_visibility
-    return np.logical_and(seen[:, _SHOULDERS].all(axis=1), seen[:, _WRISTS].any(axis=1))
+    return np.logical_and(seen[:, SHOULDERS].all(axis=1), seen[:, WRISTS].any(axis=1))
 
 
 def shot_starts(change: FloatArray) -> IntArray:
@@ -55,35 +54,36 @@ def shot_starts(change: FloatArray) -> IntArray:
     return np.flatnonzero((change > CUT_CHANGE) & (change > CUT_RATIO * (np.max(neighbours, axis=0) + 1.0)))
 
 
-def jump_share(
-    t: FloatArray,
-    landmarks: FloatArray,
-    image: FloatArray,
-    valid: BoolArray,
-    size: tuple[int, int],
-    max_jump: float,
-) -> float:
-    """Return the share of frames in which a wrist or the whole person jumps.
-
-    Args:
-        t: Times (T,) [s].
-        landmarks: Mid-hip -> landmark (T, 33, 3) [m].
-        image: Image coordinates (T, 33, 2), fractions of width and height.
-        valid: Which landmarks are usable (T, 33).
-        size: Width and height of the image [px].
-        max_jump: A larger movement from one frame to the next is a jump [m].
-    """
-    rows = np.flatnonzero(valid[:, _SHOULDERS].all(axis=1))
+def jump_share(track: PoseTrack, max_jump: float) -> float:
+    """Return the share of frames in which a wrist or the whole person moves by more than ``max_jump`` [m] at once."""
+    rows = np.flatnonzero(track.valid[:, SHOULDERS].all(axis=1))
     if len(rows) < 2:
         return 0.0
-    limit = max_jump * np.maximum(1.0, np.diff(t[rows]) / FRAME)
-    wrists = np.where(valid[rows][:, _WRISTS, None], landmarks[rows][:, _WRISTS], np.nan)
+    limit = max_jump * np.maximum(1.0, np.diff(track.t[rows]) / FRAME)
+    wrists = np.where(track.valid[rows][:, WRISTS, None], track.landmarks[rows][:, WRISTS], np.nan)
     wrists_moved = np.linalg.norm(np.diff(wrists, axis=0), axis=-1)
-    pixels = image[rows][:, _TRUNK] * np.asarray(size, dtype=np.float64)
-    metres = landmarks[rows][:, _TRUNK, :2]
+    pixels = in_pixels(track)[rows][:, _TRUNK]
+    metres = track.landmarks[rows][:, _TRUNK, :2]
     scale = np.median(spread_of(metres) / np.maximum(spread_of(pixels), 1e-9))
     body_moved = scale * np.linalg.norm(np.diff(pixels[:, :2].mean(axis=1), axis=0), axis=-1)
     return float(((wrists_moved > limit[:, None]).any(axis=1) | (body_moved > limit)).mean())
+
+
+def in_pixels(track: PoseTrack) -> FloatArray:
+    """Return where the landmarks are in the picture (T, 33, 2) [px]."""
+    return track.image * np.asarray(track.size, dtype=np.float64)
+
+
+def trunk_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the middle of the shoulders and the height of the trunk, at least the width of the shoulders.
+
+    Args:
+        points: Landmarks (..., 33, 2), in one unit across and down.
+    """
+    left, right = points[..., SHOULDERS[0], :], points[..., SHOULDERS[1], :]
+    middle = (left + right) / 2
+    high = np.linalg.norm(points[..., HIPS, :].mean(axis=-2) - middle, axis=-1)
+    return middle, np.maximum(high, np.linalg.norm(left - right, axis=-1))
 
 
 def spread_of(points: FloatArray) -> FloatArray:
@@ -91,41 +91,30 @@ def spread_of(points: FloatArray) -> FloatArray:
     return np.sqrt(((points - points.mean(axis=1, keepdims=True)) ** 2).sum(axis=-1).mean(axis=1))
 
 
-def unsteadiness(landmarks: FloatArray, image: FloatArray, rows: BoolArray, size: tuple[int, int]) -> FloatArray:
+def unsteadiness(track: PoseTrack, rows: BoolArray) -> FloatArray:
     """Return how much the bones of a found body change, and its size in the picture from one row to the next.
 
     First is the standard deviation over the mean of arms and shoulder line, last the 90th percentile of the change
-    of the natural logarithm of pixels in a metre.
-
-    Args:
-        landmarks: Mid-hip -> landmark (T, 33, 3) [m].
-        image: Image coordinates (T, 33, 2), fractions of width and height.
-        rows: Those that show a person (T,).
-        size: Width and height of the image [px].
+    of the natural logarithm of pixels in a metre, in the rows (T,) that show a person.
     """
-    metres, pixels = landmarks[rows], image[rows] * np.asarray(size, dtype=np.float64)
+    metres, pixels = track.landmarks[rows], in_pixels(track)[rows]
     bones = np.linalg.norm(metres[:, _BONES[:, 0]] - metres[:, _BONES[:, 1]], axis=-1)
     scale = np.log(spread_of(pixels[:, _UPPER]) / spread_of(metres[:, _UPPER, :2]))
     steps = np.abs(np.diff(scale))[np.diff(np.flatnonzero(rows)) == 1]
     return np.array([(bones.std(axis=0) / bones.mean(axis=0)).mean(), np.quantile(steps, 0.9) if len(steps) else 0.0])
 
 
-def is_invented(landmarks: FloatArray, image: FloatArray, rows: BoolArray, size: tuple[int, int]) -> bool:
-    """Return whether a body that was found is none: neither its bones nor its size keep. Arguments: `unsteadiness`."""
-    return bool((unsteadiness(landmarks, image, rows, size) > UNSTEADY).all()) if rows.sum() > 2 else False
+def is_invented(track: PoseTrack, rows: BoolArray) -> bool:
+    """Return whether a body that was found in some rows (T,) is none: neither its bones nor its size keep."""
+    return rows.sum() > 2 and bool((unsteadiness(track, rows) > UNSTEADY).all())
 
 
-def posture(landmarks: FloatArray, image: FloatArray, valid: BoolArray, size: tuple[int, int]) -> str:
-    """Return a sentence about a picture, or a person, that is turned or squeezed; empty where it is neither.
-
-    Args:
-        landmarks, image, size: As of `unsteadiness`.
-        valid: Which landmarks are usable (T, 33).
-    """
-    rows = valid[:, _TRUNK].all(axis=1)
+def posture(track: PoseTrack) -> str:
+    """Return a sentence about a picture that is turned or squeezed, or a person who does not stand; else nothing."""
+    rows = track.valid[:, _TRUNK].all(axis=1)
     if not rows.any():
         return ""
-    metres, pixels = landmarks[rows][:, _UPPER, :2], image[rows][:, _UPPER] * np.asarray(size, dtype=np.float64)
+    metres, pixels = track.landmarks[rows][:, _UPPER, :2], in_pixels(track)[rows][:, _UPPER]
     trunk = pixels[:, :2].mean(axis=1) - pixels[:, 6:8].mean(axis=1)
     up = float(np.median(-trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=-1), 1e-9)))
     if up < -ACROSS:
@@ -138,9 +127,23 @@ def posture(landmarks: FloatArray, image: FloatArray, valid: BoolArray, size: tu
     metres, pixels = (points - points.mean(axis=1, keepdims=True) for points in (metres, pixels))
     slopes = (metres * pixels).sum(axis=1) / (metres**2).sum(axis=1)
     wide = float(np.median(slopes[:, 0] / slopes[:, 1]))
-    if SQUEEZED[0] <= wide <= SQUEEZED[1]:
-        return ""
-    return (
-        f"the person is {'narrower' if wide < 1.0 else 'wider'} than people are; if the picture is squeezed, restore "
-        "its width and height"
-    )
+    if not SQUEEZED[0] <= wide <= SQUEEZED[1]:
+        return (
+            f"the person is {'narrower' if wide < 1.0 else 'wider'} than people are; if the picture is squeezed, "
+            "restore its width and height"
+        )
+    lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
+    if np.quantile(lean, 0.8) > LEANT or _hips_bent(track) > BENT:
+        return "the person bends, sits, squats or leans: the robot moves its front legs as the arms, and does not"
+    return ""
+
+
+def _hips_bent(track: PoseTrack) -> float:
+    """Return the bend of the straighter hip that a fifth of the rows exceeds [deg]; 0 where no knees are seen."""
+    rows = track.valid[:, _TRUNK + KNEES].all(axis=1)
+    if not rows.any():
+        return 0.0
+    shoulders, hips, knees = (track.landmarks[rows][:, limb] for limb in (SHOULDERS, HIPS, KNEES))
+    trunk, thighs = (shoulders - hips).mean(axis=1, keepdims=True), knees - hips
+    cosine = -(thighs * trunk).sum(axis=-1) / np.linalg.norm(thighs, axis=-1) / np.linalg.norm(trunk, axis=-1)
+    return float(np.quantile(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).min(axis=1), 0.8))

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
-from mimic.sources.video.screening import shot_starts
+from mimic.records import HIPS, SHOULDERS, BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.sources.video.screening import in_pixels, shot_starts, trunk_of
 
 DARK, FLAT = 24.0, 10.0
 """A frame with a lower mean and a lower spread of its thumbnail is black [grey levels of 255]."""
@@ -19,6 +19,8 @@ DIM = 0.5
 """A fade takes about this long on each side [s]; clothes are compared outside it."""
 FEWEST = 3
 """Rows that each side of a cut, and rows with a person that each side of another person must have."""
+STEADY = 0.8
+"""Least share of them from the first to the last: what is found and lost in turn is nobody (0.7 on a silhouette)."""
 GAP, AWAY = 0.25, 1.0
 """After a longer gap it may be another person who is seen, in another place, and in the same place [s]."""
 JUMP = 0.4
@@ -32,7 +34,6 @@ OTHER_SIZE = 0.3
 SAME_TIME = 0.3
 """Changes this close to each other are one [s]."""
 
-_SHOULDERS, _HIPS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "hip"))
 _ACROSS, _DOWN = np.meshgrid(np.linspace(-0.3, 0.3, 5), np.linspace(0.1, 0.5, 5))
 """Where the colour of the clothes is read: shares of the shoulder line and of the way to the hips."""
 
@@ -67,8 +68,8 @@ def clothes_colour(rgb: np.ndarray, image: FloatArray) -> FloatArray:
 
     if not np.isfinite(image).all():
         return np.full(3, np.nan)
-    left, right = image[_SHOULDERS]
-    middle, hips = (left + right) / 2, image[_HIPS].mean(axis=0)
+    left, right = image[SHOULDERS]
+    middle, hips = (left + right) / 2, image[HIPS].mean(axis=0)
     points = middle + _ACROSS.reshape(-1, 1) * (left - right) + _DOWN.reshape(-1, 1) * (hips - middle)
     height, width = rgb.shape[:2]
     x, y = np.floor(points * (width, height)).astype(int).T
@@ -80,27 +81,19 @@ def clothes_colour(rgb: np.ndarray, image: FloatArray) -> FloatArray:
 
 
 def find_changes(
-    t: FloatArray,
-    change: FloatArray,
-    light: FloatArray,
-    image: FloatArray,
-    person: BoolArray,
-    clothes: FloatArray,
-    size: tuple[int, int],
+    track: PoseTrack, person: BoolArray, clothes: FloatArray, change: FloatArray, light: FloatArray
 ) -> tuple[Change, ...]:
     """Return the changes of a clip in order of time.
 
     Args:
-        t: Times (T,) [s].
-        change: Difference of each frame's thumbnail from the previous one (T,) [grey levels].
-        light: Mean and spread of the brightness of each frame (T, 2) [grey levels].
-        image: Landmarks (T, 33, 2), fraction of width and height.
+        track: What was detected.
         person: Rows that show a person (T,).
         clothes: Colour of the clothes in each row (T, 3), L*a*b*.
-        size: Width and height of the picture [px].
+        change: Difference of each frame's thumbnail from the previous one (T,) [grey levels].
+        light: Mean and spread of the brightness of each frame (T, 2) [grey levels].
     """
     found: dict[int, Kind] = {}
-    rows, trunks = np.flatnonzero(person), _trunks(image, size)
+    t, rows, trunks = track.t, np.flatnonzero(person), trunk_of(in_pixels(track))
     candidates: tuple[tuple[Kind, Iterable[int]], ...] = (
         ("fade", _after_black(light)),
         ("cut", (row for row in shot_starts(change) if FEWEST <= row <= len(t) - FEWEST)),
@@ -142,21 +135,13 @@ def _after_black(light: FloatArray) -> IntArray:
     return starts[starts > np.argmin(black)] if not black.all() else starts[:0]
 
 
-def _trunks(image: FloatArray, size: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """Return place (T, 2) and height (T,) of the trunk [px], which is at least as high as the shoulders are wide."""
-    flat = image * np.asarray(size, dtype=np.float64)
-    shoulders, hips = flat[:, _SHOULDERS].mean(axis=1), flat[:, _HIPS].mean(axis=1)
-    wide = np.linalg.norm(flat[:, _SHOULDERS[0]] - flat[:, _SHOULDERS[1]], axis=-1)
-    return shoulders, np.maximum(np.linalg.norm(hips - shoulders, axis=-1), wide)
-
-
 def _jumps(t: FloatArray, rows: IntArray, place: FloatArray, height: FloatArray) -> IntArray:
     """Return the rows at which it may be another person: after a jump of the trunk or a gap, farthest jumps first.
 
     Args:
         t: Times (T,) [s].
         rows: Those that show a person.
-        place, height: Trunk in each row, from `_trunks`.
+        place, height: Trunk in each row, [px].
     """
     scale = np.maximum(np.minimum(height[rows[1:]], height[rows[:-1]]), 1.0)
     moved = np.linalg.norm(np.diff(place[rows], axis=0), axis=-1) / scale
@@ -179,7 +164,7 @@ def _is_other(
         return False
     gap = t[after[0]] - t[before[-1]]
     before, after = before[t[before] > t[before[-1]] - WINDOW], after[t[after] < t[after[0]] + WINDOW]
-    if min(len(before), len(after)) < FEWEST:
+    if any(len(side) < max(FEWEST, STEADY * (1 + side[-1] - side[0])) for side in (before, after)):
         return False
     colour = float(np.linalg.norm(_median(clothes[before]) - _median(clothes[after])))
     if kind != "person":

@@ -26,7 +26,7 @@ from mimic.sources.video.shots import clothes_colour, describe, find_changes, li
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 13
+ALGORITHM = 14
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MAX_SWAP_SHARE = 0.05
@@ -41,26 +41,12 @@ _DEFAULT = PoseSettings()
 class _Detections:
     """Raw output of the detector, frame by frame."""
 
-    name: str
-    t: FloatArray
-    landmarks: FloatArray
-    image: FloatArray
-    score: FloatArray
+    track: PoseTrack
     change: FloatArray
     light: FloatArray
     clothes: FloatArray
-    size: tuple[int, int]
-    missing: int
-    """Bytes that the file lacks at its end."""
-    repaired: int
-    damaged: list[float]
-    """Times of frames that could not be decoded [s]."""
-    people: list[str]
-    """What is to be said about several people in view."""
-
-    def blank(self, rows: slice | BoolArray) -> None:
-        """Make gaps of rows that show somebody else."""
-        self.landmarks[rows], self.image[rows], self.score[rows] = np.nan, np.nan, 0.0
+    said: list[str]
+    """What is to be said about the file and about several people in view."""
 
 
 def track_video(
@@ -84,56 +70,39 @@ def track_video(
         SourceError: If the file contains no picture, is shorter than a sampling step, or shows no person.
         AssetError: If there is no model to detect with.
     """
-    detections = _detect(Path(path), settings, progress)
+    path = Path(path)
+    found = _detect(path, settings, progress)
     from mimic.sources.video.depth import with_depth  # SciPy takes a second: the detector need not wait for it
     from mimic.sources.video.heading import with_heading
     from mimic.sources.video.smoothing import smooth
 
-    _check_person(detections, settings)
-    t = detections.t
-    changes = find_changes(
-        t,
-        detections.change,
-        detections.light,
-        detections.image,
-        person_rows(detections.score, settings.min_visibility),
-        detections.clothes,
-        detections.size,
-    )
+    raw = found.track
+    person = person_rows(raw.score, settings.min_visibility)
+    _check_person(raw, person, path.name, settings)
+    changes = find_changes(raw, person, found.clothes, found.change, found.light)
+    other = np.zeros(len(raw.t), dtype=np.bool_)
     for row in (change.row for change in changes if change.other_person and settings.person is not None):
-        lost = np.flatnonzero(np.isnan(detections.landmarks[row:, 0, 0]))  # then whoever is found was recognised
-        detections.blank(slice(row, row + lost[0] if len(lost) else None))
+        lost = np.flatnonzero(np.isnan(raw.landmarks[row:, 0, 0]))  # then whoever is found was recognised
+        other[row : row + lost[0] if len(lost) else None] = True
+    raw = _without(raw, other)
     shots = np.array([change.row for change in changes], dtype=np.int64)
-    swapped = decide_sides(t, detections.landmarks, shots)
-    landmarks, image, score = (
-        swap_sides(column, swapped) for column in (detections.landmarks, detections.image, detections.score)
-    )
-    valid: BoolArray = score >= settings.min_visibility
-    warnings = [
-        *_file_warnings(detections),
-        *detections.people,
-        *describe(changes, t),
-        *doubts(t, landmarks, image, score, swapped, detections.size, settings),
-    ]
-    for warning in warnings:
-        log.info("%s: %s", detections.name, warning)
-    landmarks, image = (smooth(t, column, shots, settings.cutoff_hz) for column in (landmarks, image))
-    spread = np.full((len(t), 2), np.nan)
-    if settings.depth:
-        landmarks, spread = with_depth(t, landmarks, image, score, detections.size, shots)
-        landmarks = with_heading(landmarks, image, valid, detections.size, shots)
-    return PoseTrack(
-        t=t,
+    swapped = decide_sides(raw.t, raw.landmarks, shots)
+    landmarks, image, score = (swap_sides(column, swapped) for column in (raw.landmarks, raw.image, raw.score))
+    track = replace(
+        raw,
         landmarks=landmarks,
         image=image,
-        depth_spread=spread,
         score=score,
-        valid=valid,
-        size=detections.size,
+        valid=score >= settings.min_visibility,
         swapped=swapped,
-        shot=np.searchsorted(shots, np.arange(len(t)), "right").astype(np.float64),
-        warnings=tuple(warnings),
+        shot=np.searchsorted(shots, np.arange(len(raw.t)), "right").astype(np.float64),
     )
+    warnings = (*found.said, *describe(changes, raw.t), *doubts(track, settings))
+    for warning in warnings:
+        log.info("%s: %s", path.name, warning)
+    landmarks, image = (smooth(raw.t, column, shots, settings.cutoff_hz) for column in (landmarks, image))
+    track = replace(track, landmarks=landmarks, image=image, warnings=warnings)
+    return with_heading(with_depth(track)) if settings.depth else track
 
 
 def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
@@ -175,11 +144,19 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
                 progress(len(rows), video.frame_count)
     t, repaired = true_times(np.array(stamps))
     landmarks, image, score = (np.array(column) for column in zip(*rows, strict=True))
-    looks = np.array(change), np.array(light), np.array(clothes)
-    more = video.size, missing_bytes(path), repaired, video.damaged, people.sentences()
-    found = _Detections(path.name, t, landmarks, image, score, *looks, *more)
-    found.blank(~people.followed_rows())
-    return found
+    nothing = np.zeros(len(t), dtype=np.bool_)
+    track = PoseTrack(
+        t=t, landmarks=landmarks, image=image, score=score, valid=score > 0.0, size=video.size, swapped=nothing
+    )
+    said = [*_file_warnings(path, video, len(t), repaired), *people.sentences()]
+    track = _without(track, ~people.followed_rows())
+    return _Detections(track, np.array(change), np.array(light), np.array(clothes), said)
+
+
+def _without(track: PoseTrack, rows: BoolArray) -> PoseTrack:
+    """Return a track with gaps in the rows (T,) that show somebody else."""
+    landmarks, image = (np.where(rows[:, None, None], np.nan, column) for column in (track.landmarks, track.image))
+    return replace(track, landmarks=landmarks, image=image, score=np.where(rows[:, None], 0.0, track.score))
 
 
 def _timed(video: Video) -> Iterator[tuple[float, np.ndarray]]:
@@ -190,66 +167,49 @@ def _timed(video: Video) -> Iterator[tuple[float, np.ndarray]]:
         yield (frame.stamp_ms - first) / 1e3, frame.rgb
 
 
-def _check_person(detections: _Detections, settings: PoseSettings) -> None:
-    """Check that a clip shows a person.
+def _check_person(track: PoseTrack, rows: BoolArray, name: str, settings: PoseSettings) -> None:
+    """Check that a clip shows a person in enough rows (T,).
 
     Raises:
         SourceError: If the clip is too short, or has too few such frames.
     """
-    t = detections.t
+    t = track.t
     if t[-1] < settings.min_duration:
         raise SourceError(
-            f"{detections.name} has {len(t)} frame{'s' * (len(t) > 1)} in {t[-1]:.2f} s, shorter than a sampling step; "
+            f"{name} has {len(t)} frame{'s' * (len(t) > 1)} in {t[-1]:.2f} s, shorter than a sampling step; "
             f"use a video of at least {settings.min_duration:g} s"
         )
-    rows = person_rows(detections.score, settings.min_visibility)
-    if is_invented(detections.landmarks, detections.image, rows, detections.size):
+    if is_invented(track, rows):
         raise SourceError(
-            f"{detections.name} shows no person: what is found has limbs and a size that change from frame to frame; "
+            f"{name} shows no person: what is found has limbs and a size that change from frame to frame; "
             "film one whole person, without cuts, in a picture that is not squeezed"
         )
     share = float(rows.mean())
     if share < settings.min_person_share:
         raise SourceError(
-            f"{detections.name} shows no person: both shoulders and a wrist are visible in {share:.0%} of its frames, "
+            f"{name} shows no person: both shoulders and a wrist are visible in {share:.0%} of its frames, "
             f"at least {settings.min_person_share:.0%} are required; "
             "film one person whose shoulders and arms stay in the picture"
         )
 
 
-def _file_warnings(detections: _Detections) -> Iterator[str]:
-    if detections.missing:
-        yield f"the file is cut off, {detections.missing} bytes short; the end may be missing: copy it again"
-    if lost := detections.damaged:
+def _file_warnings(path: Path, video: Video, frames: int, repaired: int) -> Iterator[str]:
+    if missing := missing_bytes(path):
+        yield f"the file is cut off, {missing} bytes short; the end may be missing: copy it again"
+    if lost := video.damaged:
         yield (
             f"{len(lost)} frames are damaged and left out, at {min(lost):.2f} to {max(lost):.2f} s; what is between "
             "their neighbours is not what the person did: copy the file again"
         )
-    if detections.repaired:
-        yield (
-            f"{detections.repaired} of {len(detections.t)} time stamps do not increase; these frames got interpolated "
-            "times"
-        )
+    if repaired:
+        yield f"{repaired} of {frames} time stamps do not increase; these frames got interpolated times"
 
 
-def doubts(
-    t: FloatArray,
-    landmarks: FloatArray,
-    image: FloatArray,
-    score: FloatArray,
-    swapped: BoolArray,
-    size: tuple[int, int],
-    settings: PoseSettings,
-) -> Iterator[str]:
-    """Yield what makes the landmarks of a clip or a camera doubtful: a person seen seldom, jumps, exchanged sides.
-
-    Args:
-        t, landmarks, image, score, swapped, size: As in a pose track, with corrected sides.
-        settings: Limits.
-    """
-    valid: BoolArray = score >= settings.min_visibility
-    person = float(person_rows(score, settings.min_visibility).mean())
-    jumps = jump_share(t, landmarks, image, valid, size, settings.max_jump)
+def doubts(track: PoseTrack, settings: PoseSettings) -> Iterator[str]:
+    """Yield what makes a clip or a camera doubtful: a person seen seldom, jumps, exchanged sides, posture."""
+    swapped = track.swapped
+    person = float(person_rows(track.score, settings.min_visibility).mean())
+    jumps = jump_share(track, settings.max_jump)
     if person < MIN_PERSON_SHARE:
         yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
     still = f"a wrist or the person still jumps in {jumps:.0%} of the frames"
@@ -263,5 +223,5 @@ def doubts(
             f"the person or a wrist jumps in {jumps:.0%} of the frames, as where arms are hard to see or several "
             "people are; use a clip of one person from the front or a three-quarter view"
         )
-    if said := posture(landmarks, image, valid, size):
+    if said := posture(track):
         yield said

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.records import LANDMARKS
+from mimic.records import LANDMARKS, PoseTrack
 from mimic.sources.video.shots import Change, clothes_colour, describe, find_changes, lightness
 
 SIZE = (640, 480)
@@ -31,7 +31,12 @@ class Clip:
                 self.image[rows, LANDMARKS.index(f"{side}_{name}")] = point
 
     def changes(self) -> tuple[Change, ...]:
-        return find_changes(self.t, self.change, self.light, self.image, self.person, self.clothes, SIZE)
+        score = np.ones((ROWS, 33))
+        track = PoseTrack(
+            t=self.t, landmarks=np.zeros((ROWS, 33, 3)), image=self.image, score=score, valid=score > 0.5,
+            swapped=np.zeros(ROWS, dtype=bool), size=SIZE,
+        )  # fmt: skip
+        return find_changes(track, self.person, self.clothes, self.change, self.light)
 
 
 def test_a_person_who_stands_or_walks_is_one_person():
@@ -67,6 +72,15 @@ def test_who_turns_and_shows_a_back_of_another_colour_is_the_same_person():
     assert clip.changes() == ()
     clip.place(slice(AT, None), 0.65, 1.0)
     assert clip.changes() == (Change(AT + 12, "person", True),)
+
+
+def test_what_is_found_and_lost_in_turn_is_no_other_person():
+    clip = Clip()
+    clip.person[AT : AT + 4] = False
+    clip.place(slice(AT, None), 0.9, 0.5)
+    assert [change.kind for change in clip.changes()] == ["person"]
+    clip.person[AT + 5 :: 2] = False
+    assert clip.changes() == ()
 
 
 def test_a_fade_through_black_is_a_change_and_a_dark_start_or_end_is_none():
