@@ -217,11 +217,10 @@ class CanScene:
 
     def actable(self, t: float) -> float:
         """Return from when on, after a time [s], somebody can reach all motors; infinite for never."""
-        kind, trouble, fault = self.trouble.kind, self.trouble, self._fault
-        if kind in UNREACHABLE or kind.startswith("master_"):
-            return max(t, trouble.end) if t >= trouble.begin else t
-        cut = fault is not None and fault.kind in CUTS
-        return max(t, trouble.begin + fault.until - fault.start) if cut and t >= trouble.begin else t
+        kind, trouble = self.trouble.kind, self.trouble
+        if (kind in UNREACHABLE or kind.startswith("master_")) and t >= trouble.begin:
+            return max(t, trouble.end)
+        return max([t, *(fault.until for fault in self.robot.faults if fault.kind in CUTS and fault.start <= t)])
 
     def false_line(self) -> bool:
         """Return whether the last line asks for the power of a robot that is off and can be reached."""

@@ -42,7 +42,6 @@ class BoardScene:
         self, description: RobotDescription, rng: np.random.Generator, seed: int, fault: EmulatedFault | None
     ) -> None:
         """Switch the robot on."""
-        self._fault = fault
         self.board, self.bus, driver = self._made(
             description, EmulateSettings(placement=0.02, seed=seed), [] if fault is None else [fault]
         )
@@ -119,13 +118,11 @@ class BoardScene:
 
     def actable(self, t: float) -> float:
         """Return from when on, after a time [s], somebody can reach the board; infinite for never."""
-        kind, trouble, fault = self.trouble.kind, self.trouble, self._fault
-        if t < trouble.begin:
-            return t
-        if kind in CUTS:
-            return max(t, trouble.end)
-        cut = fault is not None and fault.kind in ("bus_off", "frames_lost", "frames_late", "frames_corrupted")
-        return max(t, trouble.begin + fault.until - fault.start) if cut else t
+        if self.trouble.kind in CUTS and t >= self.trouble.begin:
+            return max(t, self.trouble.end)
+        cuts = ("bus_off", "frames_lost", "frames_late", "frames_corrupted")
+        ends = [fault.until for fault in self.board.faults if fault.kind in cuts and fault.start <= t]
+        return max([t, *ends])
 
     def reachable(self) -> bool:
         """Return whether no other program still commands the robot, which obeys whoever sends, and messages pass."""
