@@ -195,7 +195,9 @@ def zero(
     from mimic.flows.commissioning import zero_robot
     from mimic.records import JOINTS
 
-    note("For its first zeros, keep its legs folded under a level belly: upper legs 80 deg back, knees bent by 135 deg,")
+    note(
+        "For its first zeros, keep its legs folded under a level belly: upper legs 80 deg back, knees bent by 135 deg,"
+    )
     note("hips straight, each within 20 deg. Later it may also lie as it sinks without power. Its motors stay off.")
     done = zero_robot(bus_url, bus, again=again, operator=_operator(DriveSettings(yes=yes)))
     off = np.rad2deg(done.off)
