@@ -17,8 +17,7 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, FrameError
 from mimic.hardware.can.driver import CanDriver
-from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.can.link import Received
+from mimic.hardware.can.frame import CanFrame, Received
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
 from mimic.hardware.motors.cybergear.parameters import Kind

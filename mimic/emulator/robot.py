@@ -23,8 +23,7 @@ from mimic.emulator.faults import EmulatedFault, miswiring
 from mimic.emulator.imu import EmulatedMti
 from mimic.emulator.motor import FREE, LEAST_TORQUE, ROTOR_TURN, Drive, EmulatedMotor, Measured
 from mimic.errors import BusError, ConfigError
-from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame
-from mimic.hardware.can.link import Received
+from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame, Received
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors.cybergear.codec import Codec, MotorMessage
 from mimic.hardware.motors.cybergear.parameters import Fault
