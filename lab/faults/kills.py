@@ -67,7 +67,8 @@ class Scene:
             self.words = ["cyberdog2", "--interface", "lo", "--wiring", str(wiring_through(work / "board.toml"))]
         else:
             self.robot = EmulatedGo2(description, load_go2(), settings)
-            self.server = BoardServer(self.robot, DdsBus(load_go2(), "lo", robot=True))
+            with real_time(EMULATOR, inherited=True):  # also for the threads in which its network receives
+                self.server = BoardServer(self.robot, DdsBus(load_go2(), "lo", robot=True))
             self.words = ["go2", "--interface", "lo"]
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
