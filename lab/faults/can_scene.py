@@ -222,8 +222,10 @@ class CanScene:
         return max([t, *(fault.until for fault in self.robot.faults if fault.kind in CUTS and fault.start <= t)])
 
     def false_line(self) -> bool:
-        """Return whether the last line asks for the power of a robot that is off and can be reached."""
-        return "cut the power" in self.plant.ending and not self.on() and self.actable(self.now()) <= self.now()
+        """Return whether the last line asks for the power of a robot that is off and can be reached and heard."""
+        line = self.plant.ending
+        unknown = "did not confirm" in line or self.actable(self.now()) > self.now()
+        return "cut the power" in line and not self.on() and not unknown
 
     def told(self) -> bool:
         ending, on = self.plant.ending, self.on()
