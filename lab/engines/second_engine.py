@@ -28,10 +28,11 @@ import numpy as np
 
 from mimic.config.play import NOMINAL, Randomisation
 from mimic.control.plant import Plant
+from mimic.dynamics.lying import RESTS, RESTS_FOR, SINKS_WITHIN
 from mimic.dynamics.robot_model import Variation, draw_variation, load_model
 from mimic.errors import PlantError
 from mimic.evaluation.calm import SETTLED
-from mimic.evaluation.episode import play_episode
+from mimic.evaluation.episode import OF_EPISODES, play_episode
 from mimic.evaluation.policy import TIMING, command_script, forward_speed, standing_track, stands_at_end
 from mimic.metrics import run_metrics, stand_up_time
 from mimic.policy.runtime import Policy
@@ -44,6 +45,9 @@ STEP = 5e-4
 
 STIFFNESS, RELAXATION = 3e4, 0.01
 """Of a contact point [N/m], and the time in which it comes to rest [s]."""
+
+SINK_STEP = 2 * STEP
+"""Torques hold for so long while the robot sinks [s]."""
 
 RUB = 0.02
 """Speed at which dry friction has three quarters of its size [rad/s]."""
@@ -141,7 +145,7 @@ class DrakePlant:
         return self._d
 
     def start(self) -> RobotState:
-        """Put the robot on the ground, lying on its folded legs, and return its state."""
+        """Let the robot sink from its folded legs onto the ground, as without power, and return its state."""
         d, v = self._d, self.variation
         q = np.zeros(19)
         q[:4] = np.cos(v.heading / 2), 0.0, 0.0, np.sin(v.heading / 2)
@@ -151,18 +155,37 @@ class DrakePlant:
         self.plant.SetVelocities(self._context, np.zeros(18))
         self._root.SetTime(0.0)
         self._simulator.Initialize()
-        lying = q[self._at_q].copy()
+        self._sink()
+        lying = self.plant.GetPositions(self._context)[self._at_q].copy()
         self._targets = [lying] * 5
         self._tau, self._steps = np.zeros(12), 0
         self._next_push = self._ranges.push_interval + self._phases.uniform(0.0, 0.25)
         return self._state()
+
+    def _sink(self) -> None:
+        """Let the robot come to rest without torques of its motors; time is then zero again."""
+        still = 0.0
+        while still < RESTS_FOR and self._root.get_time() < SINKS_WITHIN:
+            v = self.plant.GetVelocities(self._context)
+            still = still + SINK_STEP if np.abs(v).max() < RESTS else 0.0
+            self._advance(np.zeros(12), v[self._at_v], self._root.get_time() + SINK_STEP)
+        self.plant.SetVelocities(self._context, np.zeros(18))
+        self._root.SetTime(0.0)
+        self._simulator.Initialize()
+
+    def _advance(self, tau: FloatArray, v: FloatArray, until: float) -> None:
+        """Go on to a time with torques of the motors (12,) [N m], less their dry friction at velocities (12,)."""
+        u = np.zeros(12)
+        u[self._at_u] = tau - self._dry * np.tanh(v / RUB)
+        self.plant.get_actuation_input_port().FixValue(self._context, u)
+        self._simulator.AdvanceTo(until)
 
     def _state(self) -> RobotState:
         q, v = self.plant.GetPositions(self._context), self.plant.GetVelocities(self._context)
         quat = q[:4] / np.linalg.norm(q[:4])
         turn = self.plant.GetFreeBodyPose(self._context, self.plant.GetBodyByName("base")).rotation().matrix()
         return RobotState(
-            t=self._root.get_time(),
+            t=self._root.get_time() + OF_EPISODES["begin"],
             q=q[self._at_q].copy(),
             dq=v[self._at_v].copy(),
             tau=self._tau.copy(),
@@ -193,7 +216,6 @@ class DrakePlant:
             self.plant.SetVelocities(self._context, v)
             self._next_push += self._ranges.push_interval + self._phases.uniform(0.0, 0.25)
         self._targets = [command.q_des, *self._targets[:-1]]
-        port = self.plant.get_actuation_input_port()
         substeps, begin = round(self._d.dt / STEP), self._root.get_time()
         for k in range(substeps):
             late = k - self.variation.delay_steps  # physics steps since the newest command took effect
@@ -205,12 +227,9 @@ class DrakePlant:
             q = self.plant.GetPositions(self._context)[self._at_q]
             v = self.plant.GetVelocities(self._context)[self._at_v]
             self._tau = self._torque(target, q, v, command)
-            u = np.zeros(12)
-            u[self._at_u] = self._tau - self._dry * np.tanh(v / RUB)
-            port.FixValue(self._context, u)
-            self._simulator.AdvanceTo(begin + (k + 1) * STEP)
+            self._advance(self._tau, v, begin + (k + 1) * STEP)
         if not np.all(np.isfinite(self.plant.GetPositions(self._context))):
-            raise PlantError(f"the simulation is no longer finite at {self._root.get_time():.2f} s")
+            raise PlantError(f"the simulation is no longer finite at {self._state().t:.2f} s")
         self._steps += 1
         none = np.zeros(12, dtype=np.int64)
         health = Health(
@@ -286,8 +305,8 @@ def main(argv: list[str] | None = None) -> int:
     ]
     rows = []
     for kind, ranges, seed, seconds, asked in jobs:
-        for engine, made in (("drake", DrakePlant), ("mujoco", SimulatedPlant)):
-            figures = episode(made(description, ranges=ranges, seed=seed), policy, seconds, seed, **asked)
+        for engine, made, more in (("drake", DrakePlant, {}), ("mujoco", SimulatedPlant, OF_EPISODES)):
+            figures = episode(made(description, ranges=ranges, seed=seed, **more), policy, seconds, seed, **asked)
             rows.append({"kind": kind, "seed": seed, "engine": engine, **figures})
         print(f"{kind} {seed}: {rows[-2]['stands']} {rows[-1]['stands']}", file=sys.stderr, flush=True)
         if options.out is not None:

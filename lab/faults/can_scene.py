@@ -17,8 +17,7 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, FrameError
 from mimic.hardware.can.driver import CanDriver
-from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.can.link import Received
+from mimic.hardware.can.frame import CanFrame, Received
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
 from mimic.hardware.motors.cybergear.parameters import Kind
@@ -30,28 +29,42 @@ from mimic.robot.description import RobotDescription
 CUTS = ("bus_off", "unplugged", "motor_deaf", "stalled", "frames_lost", "frames_late", "frames_corrupted")
 """Faults that can keep a motor from hearing anybody; without a timeout of its own it then goes on."""
 
+UNREACHABLE = ("refuses_frames", "fails", "adapter_out", "sends_nothing", "flaps", "clock_stands", "drops", "delays")
+"""Faults of others while which frames may not reach a motor."""
+
 ANSWERS = "answers"
 """The way of frames from the motors; the way of the others is the number of their bus."""
+
+
+LOOKS = 1e-4
+"""Time that passes between two looks at a clock that stands still [s]."""
 
 
 class ProxyLink:
     """A link whose frames pass through somebody else's hands."""
 
-    def __init__(self, link: EmulatedLink, trouble: Trouble) -> None:
-        """Stand between a link and whoever uses it."""
-        self._link, self._trouble = link, trouble
+    def __init__(self, link: EmulatedLink, trouble: Trouble, look: Callable[[], None]) -> None:
+        """Stand between a link and whoever uses it; look at the robot as time passes."""
+        self._link, self._trouble, self._look = link, trouble, look
         self._ready: deque[Received] = deque()
         self._codec = Codec()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._link, name)
 
+    def now(self) -> float:
+        """Return the time of this computer, whose clock may stand still while the robot goes on."""
+        if not self._trouble.doing("clock_stands"):
+            return self._link.now()
+        self._link.sleep(LOOKS)
+        return self._trouble.begin
+
     def send(self, bus: int, frame: CanFrame) -> None:
         self._flush()
-        if self._trouble.doing("refuses_frames", "fails"):
+        if self._trouble.doing("refuses_frames", "fails", "adapter_out"):
             raise BusError("the proxy takes no frames")
         if not self._trouble.doing("sends_nothing"):
-            for one in self._trouble.through(bus, frame, self._damaged):
+            for one in self._trouble.through(bus, frame, self._damaged, cut=self._cut):
                 self._link.send(bus, one)
 
     def receive(self, timeout: float) -> Received | None:
@@ -59,17 +72,20 @@ class ProxyLink:
         while True:
             self._flush()
             if self._ready:
-                return self._ready.popleft()._replace(t=self._link.now())
+                return self._ready.popleft()._replace(t=self.now())
             left = max(end - self._link.now(), 0.0)
-            if self._trouble.doing("fails"):
+            if self._trouble.doing("fails", "adapter_out"):
                 self._link.sleep(min(left, 0.002))
                 raise BusError("the proxy has failed")
             received = self._link.receive(left if self._trouble.next_due() is None else min(left, 0.002))
+            self._look()
             if received is None:
                 if self._link.now() >= end:
                     return None
             elif not self._trouble.doing("hears_nothing"):
-                self._ready.extend(self._trouble.through(ANSWERS, received, self._damaged_answer, self._forged))
+                self._ready.extend(
+                    self._trouble.through(ANSWERS, received, self._damaged_answer, self._forged, self._cut_answer)
+                )
 
     def _flush(self) -> None:
         for way, message in self._trouble.due():
@@ -82,6 +98,12 @@ class ProxyLink:
         bit = 1 << int(self._trouble.rng.integers(29))
         identifier = frame.id ^ bit if frame.extended and self._trouble.hit() else frame.id
         return CanFrame(identifier, self._trouble.damaged(frame.data), frame.extended)
+
+    def _cut(self, frame: CanFrame) -> CanFrame:
+        return CanFrame(frame.id, self._trouble.shorter(frame.data) if frame.data else b"", frame.extended)
+
+    def _cut_answer(self, received: Received) -> Received:
+        return received._replace(frame=self._cut(received.frame))
 
     def _damaged_answer(self, received: Received) -> Received:
         return received._replace(frame=self._damaged(received.frame))
@@ -128,15 +150,20 @@ class CanScene:
         link = EmulatedLink(self.robot)
         link.sleep(0.3)
         self.trouble = Trouble(rng, self.now)
+        self.last_driven = -np.inf
         self._other = EmulatedLink(self.robot)
 
-        driver = CanDriver(ProxyLink(link, self.trouble), wiring, description, zeroed=True)
+        driver = CanDriver(ProxyLink(link, self.trouble, self._look), wiring, description, zeroed=True)
         self.link = EmulatedSenderLink(driver, description)
         self.plant = _Plant(self.link, description)
         self.plant.beside = self._beside
 
     def now(self) -> float:
         return self.robot.now
+
+    def _look(self) -> None:
+        if self.robot.driven():
+            self.last_driven = self.robot.now
 
     def _beside(self) -> None:
         """Stop the sender, and let the second program speak."""
@@ -186,6 +213,19 @@ class CanScene:
     def reachable(self) -> bool:
         lost = self._fault is not None and self._fault.kind in CUTS and np.isinf(self._fault.until)
         return self._own_timeout or not lost
+
+    def actable(self, t: float) -> float:
+        """Return from when on, after a time [s], somebody can reach all motors; infinite for never."""
+        kind, trouble = self.trouble.kind, self.trouble
+        if (kind in UNREACHABLE or kind.startswith("master_")) and t >= trouble.begin:
+            return max(t, trouble.end)
+        return max([t, *(fault.until for fault in self.robot.faults if fault.kind in CUTS and fault.start <= t)])
+
+    def false_line(self) -> bool:
+        """Return whether the last line asks for the power of a robot that is off and can be reached and heard."""
+        line = self.plant.ending
+        unknown = "did not confirm" in line or self.actable(self.now()) > self.now()
+        return "cut the power" in line and not self.on() and not unknown
 
     def told(self) -> bool:
         ending, on = self.plant.ending, self.on()

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from lab.faults.can_scene import CanScene
-from lab.faults.stock_scene import StockScene
+from lab.faults.stock_scene import Go2Scene, StockScene
 from lab.faults.trouble import CASES, cases, stood
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
 from mimic.control.recorder import RunRecorder, salvage
 from mimic.control.signals import Signals
-from mimic.control.supervisor import Supervisor
+from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
-from mimic.emulator.faults import random_fault
+from mimic.emulator.faults import MISWIRED, EmulatedFault, random_fault
 from mimic.errors import MimicError
 from mimic.evaluation.policy import command_script
 from mimic.policy.runtime import load_policy
@@ -32,16 +32,19 @@ TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.5)
 RAMP, TRACK = 1.0, 3.0
 """[s]"""
 
-WITHIN = (0.1, 12.3)
+WITHIN = (0.1, 13.0)
 """When a fault begins, after the robot is ready [s]: from the ramp into the sitting down."""
 
 ROUNDING = 1e-6
 """Times that differ by less are the same [s]."""
 
+DAMPED_WITHIN = 0.35
+"""Motors are damped this long after the decision, or after somebody can act again [s]."""
+
 HANG = 60.0
 """A run that takes longer than this in the robot's time hangs [s]."""
 
-SCENES: dict[str, Any] = {"can": CanScene, "stock": StockScene}
+SCENES: dict[str, Any] = {"can": CanScene, "stock": StockScene, "go2": Go2Scene}
 
 
 class Killed(BaseException):
@@ -77,6 +80,13 @@ class _Run:
     def passed(self, more: float = 0.0) -> bool:
         """Return whether the fault has begun, some time ago [s]."""
         return self.scene.now() >= self._begin + self.start + more
+
+    def damped_from(self, supervisor: Supervisor, *, killed: bool) -> float:
+        """Return when it was decided to damp the robot, or the program was gone [s]; infinite where neither was."""
+        if killed:
+            return self._begin + self.start
+        found = [event.t for event in supervisor.events if event.mode >= SafetyMode.DAMP]
+        return self._begin + found[0] if found else np.inf
 
     def sink(self, tick: object) -> None:
         now = self.scene.now()
@@ -127,7 +137,7 @@ def play(
     """Play a run with the fault of a seed and return how it ended.
 
     Args:
-        robot: `can` or `stock`.
+        robot: `can`, `stock` or `go2`.
         seed: Draws fault, robot and commands.
         folder: Run folder.
         kind: One of CASES; by default drawn too.
@@ -140,9 +150,16 @@ def play(
     lasts = np.inf if at is not None else float(rng.choice([0.05, 0.2, 1.0, np.inf]))
     fault = None
     if CASES[kind].place == "robot":
-        fault = random_fault(seed, start=(start, start), after_release=True, kinds=(kind,))
+        if kind in MISWIRED:
+            fault = EmulatedFault(kind=kind, value=1.0, start=0.0, joint=int(rng.integers(12)))
+        else:
+            fault = random_fault(seed, start=(start, start), after_release=True, kinds=(kind,))
         fault = fault if at is None else replace(fault, until=np.inf)
-    description = load_description("cyberdog2")
+    if kind == "adapter_out":
+        lasts = float(rng.choice([1.0, 5.0]))
+    elif kind == "clock_stands":
+        lasts = min(lasts, 2.0)
+    description = load_description("go2" if robot == "go2" else "cyberdog2")
     scene = SCENES[robot](description, rng, seed, fault)
     policies = [load_policy(None, description), load_policy(None, description, task="sit_down")]
     recorder = FullDisk(folder, policies[0].contract.observation_size, {"dt": description.dt})
@@ -183,6 +200,8 @@ def play(
     rows = 0 if kept is None else len(kept.t)
     steps = max(run.steps, 0 if killed else getattr(scene.plant, "steps", 0) - 1)
     ended, driven = supervisor.decisive, scene.driven()
+    decided = run.damped_from(supervisor, killed=killed)
+    late = scene.last_driven - scene.actable(decided)
     return {
         "robot": robot,
         "seed": seed,
@@ -195,11 +214,13 @@ def play(
         "text": "" if ended is None else ended.text,
         "after": float("nan") if ended is None else ended.t - start,
         "driven": driven,
-        "undamped": bool(driven) and scene.reachable(),
+        "undamped": bool((driven and scene.reachable()) or DAMPED_WITHIN < late < np.inf),
+        "late": round(float(late), 3) if np.isfinite(late) else None,
         "hung": hung,
         "traceback": escaped,
         "lost": rows < steps,
         "silent": bool(scene.on()) and not killed and not scene.told(),
+        "false": bool(scene.false_line()),
         "rows": rows,
         "ending": scene.plant.ending,
         "seconds": time.monotonic() - began,

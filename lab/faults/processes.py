@@ -336,14 +336,15 @@ def _rule(run: Path) -> str:
     return ""
 
 
-def targets(path: Path) -> Path:
+def targets(path: Path, robot: str = "cyberdog2") -> Path:
     """Write three seconds of hands that sway."""
-    contract = load_policy(None, load_description("cyberdog2")).contract
+    contract = load_policy(None, load_description(robot)).contract
     t = 0.02 * np.arange(150)
     toes = np.array(contract.neutral_toes).reshape(2, 3) + 0.04 * np.sin(3 * t)[:, None, None]
     yes, no = np.ones((150, 2), dtype=bool), np.zeros((150, 2), dtype=bool)
     nothing = {"valid": yes, "moved": np.zeros((150, 2)), "limited": no, "wanted": toes}
-    store.save(TargetTrack(t=t, p_BE=toes, heading=np.zeros(150), **nothing), path, made_by=store.provenance())
+    track = TargetTrack(t=t, p_BE=toes, heading=np.zeros(150), robot=robot, **nothing)
+    store.save(track, path, made_by=store.provenance())
     return path
 
 

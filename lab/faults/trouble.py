@@ -13,6 +13,7 @@ import numpy as np
 from mimic.control.recorder import salvage
 from mimic.emulator.board import FAULTS as BOARD_FAULTS
 from mimic.emulator.faults import CAN_KINDS, KINDS
+from mimic.emulator.go2 import FAULTS as GO2_FAULTS
 from mimic.errors import MimicError
 from mimic.io import store
 from mimic.metrics import standing
@@ -32,27 +33,32 @@ class Case(NamedTuple):
     text: str
 
 
-BOTH = "can stock"
+BOTH, BOARDS, ALL = "can stock", "stock go2", "can stock go2"
 
 CASES: dict[str, Case] = {
     "jitter": Case("messages", "", "stock", "each waits a while, in order"),
-    "delays": Case("messages", BOTH, BOTH, "some wait, and are overtaken"),
-    "drops": Case("messages", BOTH, BOTH, "some are lost"),
-    "corrupts": Case("messages", BOTH, BOTH, "some have other bytes"),
-    "repeats": Case("messages", BOTH, BOTH, "old ones come again"),
-    "forges": Case("messages", BOTH, BOTH, "readings have other numbers"),
-    "cuts": Case("messages", "stock", "stock", "nothing gets through"),
-    "hears_nothing": Case("messages", "can", "", "answers are lost"),
-    "sends_nothing": Case("messages", "can", "", "commands are lost"),
+    "delays": Case("messages", ALL, BOTH, "some wait, and are overtaken"),
+    "drops": Case("messages", ALL, BOTH, "some are lost"),
+    "corrupts": Case("messages", ALL, BOTH, "some have other bytes"),
+    "repeats": Case("messages", ALL, BOTH, "old ones come again"),
+    "forges": Case("messages", ALL, BOTH, "readings have other numbers"),
+    "cuts": Case("messages", BOARDS, "stock", "nothing gets through"),
+    "hears_nothing": Case("messages", ALL, "", "answers are lost"),
+    "sends_nothing": Case("messages", ALL, "", "commands are lost"),
     "refuses_frames": Case("messages", "can", "", "the adapter takes no frames"),
     "fails": Case("messages", "can", "", "the adapter fails both ways"),
+    "adapter_out": Case("messages", "can", "", "the adapter fails, and works again after 1 or 5 s"),
+    "flaps": Case("messages", ALL, "", "nothing gets through every other tenth of a second"),
+    "truncates": Case("messages", ALL, "", "some are cut short"),
+    "swaps": Case("messages", ALL, "", "two in a row change places"),
+    "clock_stands": Case("this program", "can", "", "this computer's clock stands still"),
     "garbage": Case("messages", "", "can", "bytes that are no message come between"),
     "stalls": Case("messages", "", "can", "nothing gets through, and comes later"),
     "half_closes": Case("messages", "", "can", "the connection is closed one way"),
     "resets": Case("messages", "", "can", "the connection breaks"),
     "refuses": Case("messages", "", "can", "it breaks, and cannot be made again"),
-    "master_commands": Case("second program", BOTH, BOTH, "commands the motors"),
-    "master_once": Case("second program", "stock", "", "commands them once"),
+    "master_commands": Case("second program", ALL, BOTH, "commands the motors"),
+    "master_once": Case("second program", BOARDS, "", "commands them once"),
     "master_stops": Case("second program", "can", "can", "switches motors off"),
     "master_zeroes": Case("second program", "can", "", "sets zeros"),
     "master_enables": Case("second program", "can", "", "switches motors on"),
@@ -66,38 +72,43 @@ CASES: dict[str, Case] = {
     "second_damp": Case("second program", "", "can", "mimic robot damp"),
     "second_zero": Case("second program", "", "can", "mimic robot zero"),
     "second_scan": Case("second program", "", "can", "mimic robot scan"),
-    "policy_nan": Case("policy", "can", "", "answers NaN"),
-    "policy_wild": Case("policy", "can", "", "answers noise"),
-    "policy_raises": Case("policy", "can", "", "raises"),
-    "policy_slow": Case("policy", "can", "", "takes up to 150 ms"),
-    "target_nan": Case("policy", "can", "", "is given NaN"),
-    "sink_raises": Case("this program", "can", "", "a bug in the viewer"),
-    "sender_killed": Case("this program", BOTH, "", "its sending process ends"),
-    "sender_stopped": Case("this program", BOTH, "", "its sending process stands still"),
-    "ctrl_c": Case("this program", "can", BOTH, "Ctrl-C"),
-    "ctrl_c_twice": Case("this program", "can", "can", "Ctrl-C again soon after"),
+    "policy_nan": Case("policy", ALL, "", "answers NaN"),
+    "policy_wild": Case("policy", ALL, "", "answers noise"),
+    "policy_raises": Case("policy", ALL, "", "raises"),
+    "policy_slow": Case("policy", ALL, "", "takes up to 150 ms"),
+    "target_nan": Case("policy", ALL, "", "is given NaN"),
+    "sink_raises": Case("this program", ALL, "", "a bug in the viewer"),
+    "sender_killed": Case("this program", ALL, "", "its sending process ends"),
+    "sender_stopped": Case("this program", ALL, "", "its sending process stands still"),
+    "ctrl_c": Case("this program", ALL, BOTH, "Ctrl-C"),
+    "ctrl_c_twice": Case("this program", ALL, "can", "Ctrl-C again soon after"),
     "ctrl_c_thrice": Case("this program", "", BOTH, "and again"),
-    "many_ctrl_c": Case("this program", BOTH, "", "Ctrl-C at every tick"),
-    "sigterm": Case("this program", "can", BOTH, "SIGTERM"),
-    "terminal_closed": Case("this program", BOTH, BOTH, "SIGHUP"),
-    "disk_full": Case("this program", BOTH, BOTH, "the disk fills"),
+    "many_ctrl_c": Case("this program", ALL, "", "Ctrl-C at every tick"),
+    "sigterm": Case("this program", ALL, BOTH, "SIGTERM"),
+    "terminal_closed": Case("this program", ALL, BOTH, "SIGHUP"),
+    "disk_full": Case("this program", ALL, BOTH, "the disk fills"),
     "disk_small": Case("this program", "", BOTH, "logs fit on the disk, the scene does not"),
-    "host_killed": Case("process", BOTH, BOTH, "mimic is killed"),
-    "host_stopped": Case("process", BOTH, BOTH, "mimic stands still"),
+    "host_killed": Case("process", ALL, BOTH, "mimic is killed"),
+    "host_stopped": Case("process", ALL, BOTH, "mimic stands still"),
     "helper_killed": Case("process", "", BOTH, "the process that sends is killed"),
     "helper_stopped": Case("process", "", BOTH, "it stands still"),
     "both_killed": Case("process", "", BOTH, "both are killed"),
     "both_stopped": Case("process", "", BOTH, "both stand still"),
     "emulator_stopped": Case("process", "", BOTH, "the robot's computer stands still"),
 }
-for _kind in (*CAN_KINDS, *(k for k in BOARD_FAULTS if k not in CAN_KINDS)):
-    _own = " ".join(r for r, kinds in (("can", CAN_KINDS), ("stock", BOARD_FAULTS)) if _kind in kinds)
+_OF_ROBOTS = {"can": CAN_KINDS, "stock": BOARD_FAULTS, "go2": GO2_FAULTS}
+for _kind in dict.fromkeys([*CAN_KINDS, *BOARD_FAULTS, *GO2_FAULTS]):
+    _own = " ".join(robot for robot, kinds in _OF_ROBOTS.items() if _kind in kinds)
     CASES[_kind] = Case("robot", _own, "can" if _kind in CAN_KINDS else "", KINDS[_kind].text)
 
 
 def cases(robot: str, setting: str) -> tuple[str, ...]:
     """Return the cases of a robot in a setting, `own_time` or `processes`."""
     return tuple(name for name, case in CASES.items() if robot in getattr(case, setting).split())
+
+
+FLAP = 0.1
+"""[s]"""
 
 
 class Trouble:
@@ -117,6 +128,7 @@ class Trouble:
         """Share of the messages that are hit; longest delay of one [s]."""
         self._held: list[tuple[float, int, Any, Any]] = []
         self._last: dict[Any, float] = {}
+        self._kept: dict[Any, Any] = {}
         self._old: defaultdict[Any, deque[Any]] = defaultdict(lambda: deque(maxlen=400))
         self._count = 0
 
@@ -128,6 +140,14 @@ class Trouble:
     def doing(self, *kinds: str) -> bool:
         """Return whether one of these is there now; without a name, whether anything is."""
         return (not kinds or self.kind in kinds) and self.begin <= self.now() < self.end
+
+    def cuts(self) -> bool:
+        """Return whether nothing gets through now."""
+        return self.doing("cuts") or (self.doing("flaps") and int(self.now() / FLAP) % 2 == 0)
+
+    def shorter(self, data: bytes) -> bytes:
+        """Return the begin of a message."""
+        return data[: int(self.rng.integers(len(data)))]
 
     def hit(self) -> bool:
         """Return whether the next message is hit."""
@@ -146,6 +166,7 @@ class Trouble:
         message: Any,
         damage: Callable[[Any], Any] | None = None,
         forge: Callable[[Any], Any] | None = None,
+        cut: Callable[[Any], Any] | None = None,
     ) -> list[Any]:
         """Return what comes out where a message goes in; `due` returns what is held back until later.
 
@@ -154,11 +175,12 @@ class Trouble:
             message: What goes in.
             damage: Changes it as noise would; by default such messages are not damaged.
             forge: Changes it as somebody who knows the protocol would; by default such messages are not forged.
+            cut: Leaves out its end; by default such messages are whole.
         """
         self._old[way].append(message)
         if not self.doing():
             return [message]
-        if self.kind == "cuts":
+        if self.cuts():
             return []
         if self.kind == "jitter":
             self._last[way] = max(self.now() + self.lag * float(self.rng.random()), self._last.get(way, 0.0))
@@ -172,6 +194,13 @@ class Trouble:
                 return self._hold(self.now() + self.lag * float(self.rng.random()), way, message)
             case "repeats":
                 return [self._old[way][int(self.rng.integers(len(self._old[way])))], message]
+            case "swaps" if way not in self._kept:
+                self._kept[way] = message
+                return []
+            case "swaps":
+                return [message, self._kept.pop(way)]
+            case "truncates" if cut is not None:
+                return [cut(message)]
             case "corrupts" if damage is not None:
                 return [damage(message)]
             case "forges" if forge is not None:
@@ -223,8 +252,8 @@ def report(rows: Sequence[Mapping[str, Any]]) -> None:
     for robot in sorted({row["robot"] for row in rows}):
         mine = [row for row in rows if row["robot"] == robot]
         print(f"{robot}: {len(mine)} runs; {sum(row['stood'] for row in mine)} stood when the fault began")
-        for name in ("undamped", "hung", "traceback", "lost", "silent"):
-            bad = [(row["seed"], row["fault"], row[name]) for row in mine if row[name]]
+        for name in ("undamped", "hung", "traceback", "lost", "silent", "false"):
+            bad = [(row["seed"], row["fault"], row[name]) for row in mine if row.get(name)]
             print(f"  {name:10s} {len(bad)}", bad[:10])
         print("  driven, beyond reach:", [(r["seed"], r["fault"]) for r in mine if r["driven"] and not r["undamped"]])
         for kind in sorted({row["kind"] for row in mine}):

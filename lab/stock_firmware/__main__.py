@@ -26,7 +26,7 @@ from pathlib import Path
 from lab.stock_firmware.compare import compare
 from lab.stock_firmware.firmware import Bench, NotHere, inside_network, require_built
 from lab.stock_firmware.firmware import upright as uprightness
-from lab.stock_firmware.series import CASES, MODEL, PLAN, children, command, play_one, series, table, targets
+from lab.stock_firmware.series import CASES, PLAN, children, command, nominal, play_one, series, table, targets
 
 STANDING = 0.35
 """Height of the trunk above which the robot stands [m]."""
@@ -36,7 +36,8 @@ def cut_one(folder: Path, work: Path, source: Path, what: str, after: float) -> 
     """Cut something while the robot boxes, and return what still drove it, from the bench's own record."""
     out = work / "run"
     words = command(source, out)
-    with Bench(folder, work, MODEL) as bench:
+    work.mkdir(parents=True, exist_ok=True)
+    with Bench(folder, work, nominal(work)) as bench:
         process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         end = time.monotonic() + 40.0
         while bench.height() < STANDING and time.monotonic() < end:

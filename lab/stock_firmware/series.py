@@ -16,6 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from lab.faults.processes import HELPER
@@ -23,19 +24,17 @@ from lab.faults.proxies import LcmProxy, wiring_through
 from lab.stock_firmware.firmware import ROOT, Bench, save_model, through_network
 from lab.stock_firmware.firmware import upright as uprightness
 from mimic.config.play import Randomisation
+from mimic.dynamics.lying import sink
 from mimic.dynamics.robot_model import draw_variation, load_model, vary_model
 from mimic.flows.play import play
 from mimic.io import store
-from mimic.io.assets import shipped
-from mimic.records import JOINTS, HealthLog, RunLog, TargetTrack
+from mimic.records import JOINTS, FloatArray, HealthLog, RunLog, TargetTrack
 from mimic.robot.description import load_description
 from mimic.simulation.plant import SimulatedPlant
 
 CLIP = ROOT / "examples" / "videos" / "boxing.mp4"
 
 WIRE = tuple(f"{leg}_{part}" for leg in ("FR", "FL", "RR", "RL") for part in ("abad", "hip", "knee"))
-
-MODEL = shipped("assets", "cyberdog2", "scene.xml")
 
 TIMEOUT = 120.0
 """Longest run [s]."""
@@ -82,19 +81,35 @@ def robot(seed: int, work: Path) -> tuple[Path, list[str]]:
     variation = draw_variation(Randomisation(), description.timestep, np.random.default_rng(seed))
     nominal, model = load_model(description, visuals=False), load_model(description, visuals=False)
     vary_model(model, nominal, variation)
-    key = model.key("lie").id
-    q = np.clip(description.poses["lie"] + variation.start_q, description.q_min + 0.01, description.q_max - 0.01)
-    model.key_qpos[key, -12:] = q
-    model.key_qpos[key, 2] += variation.start_height
+    let_sink(model, description.poses["lie"] + variation.start_q, variation.start_height)
     order = [JOINTS.index(name) for name in WIRE]
     gains = [*np.broadcast_to(variation.kp, 12)[order], *np.broadcast_to(variation.kd, 12)[order]]
     options = ["--gains", ",".join(f"{gain:.4f}" for gain in gains), "--yaw", f"{np.rad2deg(variation.heading):.2f}"]
     return save_model(model, work / "robot.mjb"), options
 
 
+def let_sink(model: mujoco.MjModel, q: FloatArray, height: float = 0.0) -> None:
+    """Let the robot of the keyframe `lie` be one without power, that sank from joints q (12,) [rad]."""
+    key, data = model.key("lie").id, mujoco.MjData(model)
+    data.qpos[:] = model.key_qpos[key]
+    data.qpos[2] += height
+    data.qpos[-12:] = np.clip(q, model.jnt_range[-12:, 0] + 0.01, model.jnt_range[-12:, 1] - 0.01)
+    mujoco.mj_forward(model, data)
+    sink(model, data)
+    model.key_qpos[key] = data.qpos
+
+
+def nominal(work: Path) -> Path:
+    """Write the model of a robot as described, and return it."""
+    description = load_description("cyberdog2")
+    model = load_model(description, visuals=False)
+    let_sink(model, description.poses["lie"])
+    return save_model(model, work / "robot.mjb")
+
+
 def play_one(folder: Path, work: Path, source: Path, seed: int, case: str = "plain") -> dict[str, object]:
     """Play the clip on a robot through the firmware, and return what came of it."""
-    model, options = (MODEL, []) if seed < 0 else robot(seed, work)
+    model, options = (nominal(work), []) if seed < 0 else robot(seed, work)
     out, more = work / "run", list[str]()
     began = time.monotonic()
     with ExitStack() as stack:

@@ -31,7 +31,7 @@ AFTER = {
 TOLERATED = ("frames_late", "joint_jammed", "target_nan")
 """Faults that may pass without ending the run."""
 
-FROM_OUTSIDE = (("can", "repeats"), ("can", "master_commands"), ("stock", "host_killed"))
+FROM_OUTSIDE = (("can", "repeats"), ("can", "adapter_out"), ("stock", "host_killed"), ("go2", "sender_killed"))
 
 SOON = 0.22
 """Within which a rule ends the run [s]."""
@@ -41,7 +41,7 @@ FROZEN = SOON + 8 * 0.02
 
 
 def sound(outcome):
-    assert not any(outcome[bad] for bad in ("undamped", "hung", "traceback", "lost", "silent")), outcome
+    assert not any(outcome[bad] for bad in ("undamped", "hung", "traceback", "lost", "silent", "false")), outcome
 
 
 @pytest.mark.parametrize("kind", sorted(AFTER))
@@ -76,6 +76,7 @@ def test_the_same_seed_gives_the_same_end(tmp_path):
 
 @pytest.mark.parametrize("setting", ["own_time", "processes"])
 def test_each_robot_has_cases_of_every_place_but_its_own_absent_ones(setting):
-    for robot in ("can", "stock"):
+    robots = ("can", "stock", "go2") if setting == "own_time" else ("can", "stock")
+    for robot in robots:
         places = {CASES[name].place for name in cases(robot, setting)}
         assert {"messages", "second program", "this program", "process"} <= places

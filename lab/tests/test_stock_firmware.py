@@ -7,10 +7,21 @@ import os
 import subprocess
 import sys
 
+import mujoco
+import numpy as np
 import pytest
 
 from lab.stock_firmware.firmware import ROOT, NotHere, require_built
-from lab.stock_firmware.series import ended, table
+from lab.stock_firmware.series import ended, nominal, table
+from mimic.dynamics.lying import sunk_pose
+from mimic.robot.description import load_description
+
+
+def test_a_robot_on_the_bench_begins_as_it_sank_without_power(tmp_path):
+    model = mujoco.MjModel.from_binary_path(str(nominal(tmp_path)))
+    q = model.key_qpos[model.key("lie").id]
+    assert q[2] < 0.07
+    np.testing.assert_allclose(q[-12:], sunk_pose(load_description("cyberdog2")), atol=0.05)
 
 
 def test_a_robot_that_was_refused_is_counted_apart_from_one_that_fell():

@@ -34,6 +34,7 @@ def test_a_robot_in_unitrees_model_goes_joint_by_joint_where_it_is_told(tmp_path
     d = load_description("go2")
     bus, zeros = LockstepBus(d, 0), np.zeros(12)
     link = EmulatedSenderLink(Go2Driver(bus, load_go2(wiring_file(tmp_path)), d), d)
+    assert bus.data.qpos[2] < 0.1  # it sank without power
     bus.listen(0.5)
     robot = Robot(link, d)
     robot.start()

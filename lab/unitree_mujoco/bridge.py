@@ -16,6 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mimic.dynamics.lying import sink
 from mimic.hardware.go2.messages import LOWCMD, LOWSTATE
 from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription
@@ -63,7 +64,7 @@ def load() -> Any:
 
 
 def model_of(description: RobotDescription, seed: int) -> tuple[Any, Any]:
-    """Return Unitree's model and its data: a robot that lies, each joint up to 0.05 rad from the lying pose."""
+    """Return Unitree's model and its data: a robot without power, sunk from up to 0.05 rad beside the crouch."""
     model = mujoco.MjModel.from_xml_path(str(folder() / "unitree_robots" / "go2" / "scene.xml"))
     model.opt.timestep = STEP
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
@@ -73,7 +74,7 @@ def model_of(description: RobotDescription, seed: int) -> tuple[Any, Any]:
         leg, part = name.split("_")
         joint = model.joint(f"{leg}_{PARTS[part]}_joint")
         data.qpos[joint.qposadr[0]] = np.clip(q, joint.range[0] + 0.01, joint.range[1] - 0.01)
-    mujoco.mj_forward(model, data)
+    sink(model, data)
     return model, data
 
 
@@ -102,6 +103,7 @@ class LockstepBus:
         self._commands = bridge.LowCmd_
         self._bridge = bridge.UnitreeSdk2Bridge(self.model, self.data)
         self.heard: Any = lambda channel, data, t: None
+        self.source = 0
         self.hook: Any = lambda t: None
         self.loss: Any = lambda t: 0.0
         """Share of messages that are lost at a time, both ways."""
@@ -144,7 +146,7 @@ class LockstepBus:
     def ready(self, topic: str) -> bool:
         return True
 
-    def others(self) -> list[str]:
+    def others(self, topic: str = LOWCMD) -> list[str]:
         return []
 
     def close(self) -> None: ...

@@ -181,7 +181,7 @@ def zero(
     yes: Annotated[bool, o.Flag] = False,
     bus: o.WiringFile = None,
 ) -> int:
-    """Set the zeros of a robot that lies on its folded legs; needed after every power-up. Nothing moves.
+    """Set the zeros of a robot that lies; needed after every power-up. Nothing moves.
 
     Parameters
     ----------
@@ -196,9 +196,9 @@ def zero(
     from mimic.records import JOINTS
 
     note(
-        "Lay the robot on its four feet, belly level, legs folded: upper legs 80 deg back, knees bent by 135 deg, hips"
+        "For its first zeros, keep its legs folded under a level belly: upper legs 80 deg back, knees bent by 135 deg,"
     )
-    note("straight. Each joint must be within 20 deg of that, left and right alike. Its motors stay off.")
+    note("hips straight, each within 20 deg. Later it may also lie as it sinks without power. Its motors stay off.")
     done = zero_robot(bus_url, bus, again=again, operator=_operator(DriveSettings(yes=yes)))
     off = np.rad2deg(done.off)
     matrix("Zeros", {name: {"degrees from lying": f"{off[j]:+.1f}"} for j, name in enumerate(JOINTS)})

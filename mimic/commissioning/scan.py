@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mimic.errors import FrameError
-from mimic.hardware.can.link import Link
+from mimic.hardware.can.frame import Link
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors.imu import make_imu
 from mimic.hardware.motors.interface import Identity

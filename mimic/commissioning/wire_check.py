@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from mimic.commissioning.scan import BusScan
 from mimic.commissioning.watching import Watcher
 from mimic.errors import PlantError
-from mimic.hardware.can.link import Link
+from mimic.hardware.can.frame import Link
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors.bus import MotorBus
 from mimic.records import JOINTS, FloatArray

@@ -1,4 +1,4 @@
-"""Control ticks on any plant: the command that is sent, the state that comes back, and the log of both."""
+"""Control ticks on any plant: the command that is sent, inside its limits, the state that comes back, and their log."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from mimic.config.play import RAMP
 from mimic.control.arms import ArmGoal
 from mimic.control.dropouts import DropoutFilter
-from mimic.control.limits import clamp_command, clamp_desired
 from mimic.control.plant import Plant
 from mimic.control.recorder import RunRecorder, health_row
 from mimic.control.safety_rules import FAILURE
@@ -24,7 +23,8 @@ from mimic.policy.contract import FRONT, ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, PHASES, Command, FloatArray, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.arm_torques import ArmTorques
-from mimic.robot.leg_kinematics import front_toes
+from mimic.robot.description import RobotDescription
+from mimic.robot.leg_kinematics import front_legs, front_toes
 
 Sink = Callable[[Tick], None]
 """Called after each tick; must not block."""
@@ -266,3 +266,35 @@ class Run:
     def health_columns(self) -> dict[str, Any]:
         """Return the columns of the HealthLog."""
         return {name: np.array(values) for name, values in self._health.items()}
+
+
+def clamp_desired(
+    v_des: FloatArray, p_BE_des: FloatArray, description: RobotDescription
+) -> tuple[FloatArray, FloatArray, int]:
+    """Return velocity (2,) and toes (2, 3) inside their limits, and how many of them were clamped.
+
+    A toe beyond the length of its leg is clamped towards the hip axis; the finer limits are those of the retargeting.
+    """
+    v = np.clip(v_des, -description.commands.velocity, description.commands.velocity)
+    clamped = int(np.count_nonzero(v != v_des))
+    toes = np.array(p_BE_des, dtype=np.float64)
+    for side, leg in enumerate(front_legs(description)):
+        hip = leg.origin + np.array([0.0, leg.offset, 0.0])
+        longest = float(np.hypot(leg.thigh + np.hypot(leg.toe[0], leg.toe[2]), 2 * abs(leg.offset)))
+        away = float(np.linalg.norm(toes[side] - hip))
+        if away > longest:
+            toes[side] = hip + (toes[side] - hip) * longest / away
+            clamped += 1
+    return v, toes, clamped
+
+
+def clamp_command(command: JointCommand, description: RobotDescription) -> tuple[JointCommand, int]:
+    """Return the command inside joint limits and the motors' gains, and how many numbers were clamped."""
+    inside = {
+        "q_des": np.clip(command.q_des, description.q_min, description.q_max),
+        "kp": np.clip(command.kp, 0.0, description.kp_max),
+        "kd": np.clip(command.kd, 0.0, description.kd_max),
+        "tau_ff": np.clip(command.tau_ff, -description.torque_max, description.torque_max),
+    }
+    clamped = sum(int(np.count_nonzero(value != getattr(command, name))) for name, value in inside.items())
+    return (replace(command, **inside) if clamped else command), clamped

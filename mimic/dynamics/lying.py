@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import mujoco
 import numpy as np
+
+from mimic.dynamics.robot_model import load_model
+from mimic.records import FloatArray
+from mimic.robot.description import RobotDescription
 
 SINKS_WITHIN = 4.0
 """A robot that has not come to rest by then is as good as at rest [s]; both shipped ones are within 3."""
@@ -35,3 +41,15 @@ def sink(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     model.opt.disableflags, model.geom_friction[:] = flags, friction
     data.qvel[:], data.time = 0.0, began
     mujoco.mj_forward(model, data)
+
+
+@cache
+def sunk_pose(description: RobotDescription) -> FloatArray:
+    """Return where the joints of a robot are that sank from its folded legs (12,) [rad]."""
+    model = load_model(description, visuals=False)
+    data = mujoco.MjData(model)
+    data.qpos[:7] = 0.0, 0.0, description.pose_height["lie"], 1.0, 0.0, 0.0, 0.0
+    data.qpos[-12:] = description.poses["lie"]
+    mujoco.mj_forward(model, data)
+    sink(model, data)
+    return np.array(data.qpos[-12:])

@@ -111,7 +111,7 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
         self._arrived = at
         if self._first < 0:
             self._first = self.ticks
-            self._faults = [fault.released(self.now) for fault in self._faults]
+            self.faults = [fault.released(self.now) for fault in self.faults]
             self.events.append((self.now, "the first command came"))
 
     def _measured(self) -> tuple[FloatArray, FloatArray]:

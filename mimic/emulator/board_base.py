@@ -95,7 +95,7 @@ class NetworkBoard(Generic[W]):
         )
         self.body.release()
         self.body.miswire(*miswiring(faults), np.zeros(len(JOINTS)))
-        self._faults = list(faults)
+        self.faults = list(faults)
         self._rng = np.random.default_rng([settings.seed, 29])
         self.now = 0.0
         """[s]"""
@@ -152,7 +152,7 @@ class NetworkBoard(Generic[W]):
         return [(at, channel, data)] * (2 if self._chance("frames_doubled", t) else 1)
 
     def _value(self, kind: str, t: float) -> float | None:
-        return next((fault.value for fault in self._faults if fault.kind == kind and fault.active(t)), None)
+        return next((fault.value for fault in self.faults if fault.kind == kind and fault.active(t)), None)
 
     def _chance(self, kind: str, t: float) -> bool:
         share = self._value(kind, t)
@@ -162,7 +162,7 @@ class NetworkBoard(Generic[W]):
         """Return the joints of the description that have a fault now, and its value."""
         return {
             int(fault.joint): fault.value
-            for fault in self._faults
+            for fault in self.faults
             if fault.kind == kind and fault.joint is not None and fault.active(self.now)
         }
 

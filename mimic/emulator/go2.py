@@ -148,7 +148,7 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
             self.fights += 1
             return
         if not self._modes.any():
-            self._faults = [fault.released(self.now) for fault in self._faults]
+            self.faults = [fault.released(self.now) for fault in self.faults]
             self.events.append((self.now, "the first command came"))
         self._came = self._arrived = at
         wiring, motors = self._wiring, message["motor_cmd"][: len(JOINTS)]

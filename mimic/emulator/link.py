@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError
-from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.can.link import Received
+from mimic.hardware.can.frame import CanFrame, Received
 
 
 class EmulatedLink:
-    """A link (`mimic.hardware.can.link.Link`) without a wire. Several links to one robot are several hosts."""
+    """A link (`mimic.hardware.can.frame.Link`) without a wire. Several links to one robot are several hosts."""
 
     wake: int | None = None
     woken = False

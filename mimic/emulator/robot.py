@@ -23,8 +23,7 @@ from mimic.emulator.faults import EmulatedFault, miswiring
 from mimic.emulator.imu import EmulatedMti
 from mimic.emulator.motor import FREE, LEAST_TORQUE, ROTOR_TURN, Drive, EmulatedMotor, Measured
 from mimic.errors import BusError, ConfigError
-from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame
-from mimic.hardware.can.link import Received
+from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame, Received
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors.cybergear.codec import Codec, MotorMessage
 from mimic.hardware.motors.cybergear.parameters import Fault
@@ -108,7 +107,7 @@ class EmulatedRobot:
         """Time of the emulation [s]."""
         self._on, self._without_zero = False, set[int]() if s.zeroed else set(range(len(JOINTS)))
         self._rng = np.random.default_rng([s.seed, 29])
-        self._faults: list[EmulatedFault] = []
+        self.faults: list[EmulatedFault] = []
         self._happened: set[int] = set()
         self._codec = Codec(position_range=s.position_range, host=wiring.host)
         self.motors = [
@@ -153,7 +152,7 @@ class EmulatedRobot:
         """
         if fault.bus is not None and fault.bus >= len(self.buses):
             raise ConfigError(f"the fault {fault} is on bus {fault.bus}; this robot has {len(self.buses)}")
-        self._faults.append(fault.released(self.now) if self._on else fault)
+        self.faults.append(fault.released(self.now) if self._on else fault)
 
     def connect(self, *, bus: int | None = None) -> Host:
         """Return a new host, on one bus or on all."""
@@ -188,7 +187,7 @@ class EmulatedRobot:
         soonest = min(self.imu.next_sample, self._next_check, *(bus.next_event for bus in self.buses))
         if self._late:
             soonest = min(soonest, self._late[0][0])
-        for i, fault in enumerate(self._faults):
+        for i, fault in enumerate(self.faults):
             if i not in self._happened and not fault.after_release:
                 soonest = min(soonest, fault.start)
         return soonest
@@ -222,7 +221,7 @@ class EmulatedRobot:
 
     def _happen(self) -> None:
         """Process all events that are due now."""
-        for i, fault in enumerate(self._faults):
+        for i, fault in enumerate(self.faults):
             if i not in self._happened and fault.start <= self.now and not fault.after_release:
                 self._happened.add(i)
                 self.events.append((self.now, str(fault)))
@@ -255,7 +254,7 @@ class EmulatedRobot:
 
     def _pass_on(self, index: int, sent: Sent) -> None:
         """Deliver a frame to its receivers: once, twice, late, corrupted or never."""
-        if not self._faults:
+        if not self.faults:
             return self._deliver(index, sent)
         lost, twice = self._value("frames_lost", bus=index), self._value("frames_doubled", bus=index)
         wrong, late = self._value("frames_corrupted", bus=index), self._value("frames_late", bus=index)
@@ -304,7 +303,7 @@ class EmulatedRobot:
             self._on = True
             self.body.release()
             self.events.append((self.now, "first motor switched on; the robot is no longer held"))
-            self._faults = [fault.released(self.now) for fault in self._faults]
+            self.faults = [fault.released(self.now) for fault in self.faults]
         if answer is not None:
             self._answer(i, answer, sent.t + self.settings.reply)
 
@@ -357,7 +356,7 @@ class EmulatedRobot:
             bits = self._value("motor_fault", joint=i)
             more = Fault(0) if bits is None else Fault(int(bits) & 0x3F)
             report = motor.check_faults(self.now, *self._heat_and_voltage(i), more)
-            if any(fault.joint == i and fault.kind in BROKEN for fault in self._faults):
+            if any(fault.joint == i and fault.kind in BROKEN for fault in self.faults):
                 self._broken.update(i, self.now)
                 self._driven[i] = None  # so that it is driven anew
             self._apply(i)
@@ -386,14 +385,14 @@ class EmulatedRobot:
 
     def _value(self, kind: str, *, joint: int | None = None, bus: int | None = None) -> float | None:
         """Return the value of an active fault, or None."""
-        if not self._faults:
+        if not self.faults:
             return None
-        for fault in self._faults:
+        for fault in self.faults:
             if fault.kind == kind and fault.joint == joint and fault.bus in (None, bus) and fault.active(self.now):
                 return fault.value
         return None
 
     def _held_until(self, bus: int) -> float:
         """Return until when the adapter of a bus holds frames back [s]; 0 if it does not."""
-        ends = [f.until for f in self._faults if f.kind == "stalled" and f.bus in (None, bus) and f.active(self.now)]
+        ends = [f.until for f in self.faults if f.kind == "stalled" and f.bus in (None, bus) and f.active(self.now)]
         return max(ends, default=0.0)

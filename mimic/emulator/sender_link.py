@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mimic.hardware.can.driver import CanDriver
-from mimic.hardware.can.link import Link
+from mimic.hardware.can.frame import Link
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import CheckOptions, Driver

@@ -69,7 +69,7 @@ class Zeroed:
 def zero_robot(
     bus_url: str, bus: WiringSettings | None = None, *, again: bool = False, operator: Operator | None = None
 ) -> Zeroed:
-    """Set the zeros of a robot that lies on its folded legs; its motors stay off.
+    """Set the zeros of a robot that lies; its motors stay off.
 
     Args:
         bus_url: Buses of the robot.

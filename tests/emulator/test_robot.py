@@ -13,8 +13,7 @@ from mimic.emulator.link import EmulatedLink
 from mimic.emulator.motor import ROTOR_TURN
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, ConfigError
-from mimic.hardware.can.frame import CanFrame, frame_bits
-from mimic.hardware.can.link import Received
+from mimic.hardware.can.frame import CanFrame, Received, frame_bits
 from mimic.hardware.can.wiring import Wiring, load_wiring
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage, ParameterValue
 from mimic.hardware.motors.cybergear.parameters import (

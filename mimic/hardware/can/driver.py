@@ -12,7 +12,7 @@ import numpy as np
 
 from mimic.control.plant import damping_command
 from mimic.errors import BusError, PlantError
-from mimic.hardware.can.link import Link
+from mimic.hardware.can.frame import Link
 from mimic.hardware.can.preflight import preflight, set_host_timeout
 from mimic.hardware.can.step_budget import PARTS, step_budget
 from mimic.hardware.can.wiring import Wiring, load_wiring

@@ -201,7 +201,7 @@ def _zeros(motor_bus: MotorBus, homing: Homing | None, trust: bool) -> Check:
     problems = zero_problems(motor_bus, homing)
     if problems:
         more = f" and {len(problems) - 2} more" if len(problems) > 2 else ""
-        text = f"{'; '.join(problems[:2])}{more}. Lay it on its folded legs and run: mimic robot zero"
+        text = f"{'; '.join(problems[:2])}{more}. Lay it down and run: mimic robot zero"
         return Check(name="zeros", verdict="stop", text=text)
     return Check(name="zeros", verdict="ok", text="set since the power was switched on; the same motors")
 

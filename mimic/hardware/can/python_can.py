@@ -35,8 +35,7 @@ from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
 
 from mimic.errors import BusError, ConfigError, FrameError, MimicError
-from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.can.link import Received
+from mimic.hardware.can.frame import CanFrame, Received
 
 ANSWER_WITHIN = 2.0
 """A server that does not answer within this is given up [s]."""
@@ -209,7 +208,7 @@ class _Closed:
 
 
 class CanLink:
-    """Buses of python-can and the computer's monotonic clock. See `mimic.hardware.can.link.Link`."""
+    """Buses of python-can and the computer's monotonic clock. See `mimic.hardware.can.frame.Link`."""
 
     def __init__(self, ports: list[_Port], bitrate: int) -> None:
         """Take open buses, and the bit rate with which one is opened again [bit/s]."""

@@ -16,7 +16,7 @@ from mimic.io.store import load_json, save_json
 from mimic.records import JOINTS, FloatArray
 
 LYING_TOLERANCE = 0.35
-"""How far a joint may be from the lying pose so that its rotor turn is certain [rad]; half a turn is 0.405."""
+"""How far a joint may be from a lying pose so that its rotor turn is certain [rad]; half a turn is 0.405."""
 
 UNEVEN = 0.25
 """Difference between a joint and the same joint on the other side that is reported [rad]."""

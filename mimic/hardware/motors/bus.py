@@ -13,8 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mimic.errors import BusError, FrameError, PlantError, UnknownFrame
-from mimic.hardware.can.frame import CanFrame, frame_bits
-from mimic.hardware.can.link import Link, Received
+from mimic.hardware.can.frame import CanFrame, Link, Received, frame_bits
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors.imu import Imu, make_imu
 from mimic.hardware.motors.interface import (

@@ -23,8 +23,7 @@ from mimic.flows import commissioning
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can import driver
-from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.can.link import Received
+from mimic.hardware.can.frame import CanFrame, Received
 from mimic.hardware.can.other_programs import look_first
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
