@@ -67,9 +67,8 @@ class Passes:
         """Return predicted readings, unknown torques and torques of the motors (T, J) of each."""
 
         def one(item: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
-            out = np.empty((3, *self.data.record.y.shape))
-            predict(*self._arrays, item[0], item[1], DECAY, step, out)
-            return out[0], out[1], out[2]
+            made = predict(self._arrays, item[0], item[1], DECAY, step)
+            return made[0], made[1], made[2]
 
         self.count += len(points)
         pairs = list(zip(points, gains, strict=True))
@@ -404,7 +403,7 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0.0 * one, 0.0 * one)
     room, mass = np.zeros((n, ROOM)), np.zeros((n, n))
     room[:, AT] = np.median(smooth, axis=0)
-    dynamics(joints, shape, links, tree.gravity, room, mass)
+    dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
     rotor = blank[ROW["armature", "inertia"]]
     inertia = np.diag(mass) + rotor
     width = max(round(SMOOTH / float(np.median(dt))), 1)
@@ -416,7 +415,7 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     needed = np.zeros_like(smooth)
     for i in range(0, len(smooth), 5):
         room[:, AT], room[:, MOVING] = calm[i], speed[i]
-        dynamics(joints, shape, links, tree.gravity, room, mass)
+        dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
         needed[i : i + 5] = mass @ faster[i] + rotor * faster[i] + room[:, BIAS]
 
     def rms(x: FloatArray) -> FloatArray:
