@@ -37,11 +37,11 @@ COSINE, SINE = ROW["encoder_eccentricity", "cosine"], ROW["encoder_eccentricity"
 COG_COSINE, COG_SINE, COG_ORDER = (ROW["cogging", name] for name in ("cosine", "sine", "order"))
 SPRING, MOMENT = ROW["spring", "stiffness"], ROW["spring", "moment"]
 
-STATES = 13
-(Q, V, QM, VM, W, GOAL, SLOW, LAGGED, HEAT, CHANGE, TAU, PUSH, AIM) = range(STATES)
+STATES = 14
+(Q, V, QM, VM, W, GOAL, SLOW, LAGGED, HEAT, CHANGE, TAU, PUSH, AIM, GAINED) = range(STATES)
 """Rows of the table of states: position and velocity of the link and of the motor, unknown torque, filtered target,
 filtered speed, lagged torque, mean square torque, last change of the motor's speed, torque of the motor, the
-friction impulse of the last step, and which target is followed."""
+friction impulse of the last step, which target is followed, and the last change of the link's speed."""
 
 LEAST = 0.05
 """Least share of the torque constant, and of the supply, that is left."""

@@ -22,7 +22,7 @@ from mimic.sysid.log.noise import SMOOTH
 STEP = 1.25e-3
 """Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
 
-COARSE = STEP, 4.0 * STEP
+COARSE = 2.0 * STEP, 4.0 * STEP
 """The same for derivatives: with effects that have thresholds or states of their own, and without [s]."""
 
 PART = 0.5, 0.1
@@ -218,9 +218,9 @@ class Model:
         step = COARSE[0] if stiff else COARSE[1]
         *moved, still = self.setting.passes.run([*tables, self.table], [gains] * (len(tables) + 1), step)
         columns = np.zeros((len(x), *self.e.shape))
-        for k, f in enumerate(self.free):
-            own = slice(None) if f.joint < 0 else np.asarray(data.machine.chain) == data.machine.chain[f.joint]
-            columns[k][:, own] = ((moved[colours[k]] - still) / shift[k])[:, own]
+        reach = self._reach()
+        for k in range(len(x)):
+            columns[k][:, reach[k]] = ((moved[colours[k]] - still) / shift[k])[:, reach[k]]
         return replace(self, columns=np.nan_to_num(columns))
 
     def normal(self, rows: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -255,10 +255,8 @@ class Model:
         """
         now = self if len(self.e) else self.evaluated()
         damping, fresh = 1e-3, now.columns is not None
-        for _ in range(2 * most):
+        while now.columns is not None or most > 0:
             if now.columns is None:
-                if most == 0:
-                    break
                 now, fresh, most = now.differentiated(), True, most - 1
             better, damping = now._step(damping, 5 if fresh else 1)
             if better is None and fresh:
@@ -267,11 +265,28 @@ class Model:
                 now = replace(now, columns=None)
                 continue
             gained = now.cost - better.cost
+            now = replace(better, columns=now._secant(better))
             if gained < enough and fresh:
-                return better
-            now = replace(better, columns=now.columns if fresh else None)
+                break
+            if gained < enough:
+                now = replace(now, columns=None)
             fresh = False
-        return replace(now, columns=None)
+        return now
+
+    def _secant(self, new: Model) -> FloatArray:
+        """Return the derivatives such that they tell the way to a new model. Source: Broyden 1965."""
+        assert self.columns is not None
+        by = new.values() - self.values()
+        weighed = np.diag(self.normal()[0]) * by
+        missed = np.nan_to_num(new.e - self.e) - np.einsum("p,ptj->tj", by, self.columns)
+        share = self._reach() * weighed[:, None]
+        share /= np.maximum(by @ share, 1e-300)
+        return self.columns + share[:, None, :] * missed
+
+    def _reach(self) -> BoolArray:
+        """Return which joints each number moves (P, J): those of its chain."""
+        chain = np.asarray(self.data.machine.chain)
+        return np.stack([np.full(len(chain), f.joint < 0) | (chain == chain[f.joint]) for f in self.free])
 
     def _step(self, damping: float, most: int) -> tuple[Model | None, float]:
         """Return a better model that a damped step leads to, if one does, and the damping of the next."""
