@@ -305,12 +305,14 @@ def _at(model: Model, found: Found, numbers: Sequence[Mapping[str, float]], shar
             width, centre = model.setting.width((found.name, parameter), j)
             keys.append(Free((found.name, parameter), j, width, centre))
     new = {(f.key, f.joint) for f in keys}
+    effects = dict(model.effects)
+    effects[found.name] = tuple(sorted({*effects.get(found.name, ()), *found.joints}))
     kept = tuple(f for f in model.free if (f.key, f.joint) not in new)
     return replace(
         model,
         free=(*kept, *keys),
         table=table,
-        effects=(*model.effects, (found.name, found.joints)),
+        effects=tuple(effects.items()),
         columns=None,
         e=np.zeros((0, 0)),
     )

@@ -15,9 +15,9 @@ from scipy.stats import wilcoxon
 
 from lab.innovations.data import Data
 from lab.innovations.laws import ROW
-from lab.innovations.model import Free, Model, Setting, setting_of
+from lab.innovations.model import Free, Model, Setting, setting_of, to_fit
 from lab.innovations.screen import Found, Screen, applicable, wanted, with_effect
-from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray
 
 FARTHEST = 3.0
@@ -39,7 +39,7 @@ WIDTH = 6
 SETS = 2
 """Sets of joints of one effect among them."""
 
-HOPELESS = 0.25
+HOPELESS = 0.5
 """Share of the best candidate's gain below which another is not fitted to the end."""
 
 STAGES = 4
@@ -58,7 +58,7 @@ MOST = 0.9
 """Or share of the squared error beyond the noise that it must remove."""
 
 TIED = 6.0
-"""Nats up to which two explanations are not told apart: odds of 400 to one."""
+"""Nats of held-out log density up to which two explanations are not told apart: odds of 400 to one."""
 
 FOLLOWING = 0.1
 """Unknown torque of a pass that follows every reading, as a share of the torque of a joint."""
@@ -74,8 +74,6 @@ class Scored:
     blocks: FloatArray
     """Held-out log density of each block (B,)."""
     score: float
-    rough: bool = False
-    """Not fitted to the end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,6 +145,38 @@ def scored(model: Model) -> Scored:
     )
 
 
+def trimmed(one: Scored) -> Scored:
+    """Return a model without numbers of its effects that do not pay, but for the one by which an effect is itself: that
+    named first.
+    """
+    model = one.model.differentiated()
+    x = model.values()
+    spread = np.diag(np.linalg.pinv(model.normal()[0] + model.plausibility(x)[0]))
+    losses = {k: float(0.5 * by**2 / spread[k]) for k, by in _beside(model, x).items()}
+    idle = min(losses, key=lambda k: losses[k], default=-1)
+    if idle < 0 or losses[idle] > PRICE:
+        return one
+    table, free = model.table.copy(), list(model.free)
+    gone = free.pop(idle)
+    where = ROW[gone.key], slice(None) if gone.joint < 0 else gone.joint
+    table[where] = model.setting.blank[where]
+    columns = None if model.columns is None else np.delete(model.columns, idle, axis=0)
+    less = replace(model, table=table, free=tuple(free), columns=columns).evaluated()
+    other = scored(less.settled(1, 3))
+    return trimmed(other) if other.score > one.score else one
+
+
+def _beside(model: Model, x: FloatArray) -> dict[int, float]:
+    """Return how far numbers are from none that an effect can do without, by their places."""
+    far = {}
+    for k, f in enumerate(model.free):
+        p = CATALOGUE[f.key[0]].parameter(f.key[1])
+        first = wanted(f.key[0])[0].name
+        if f.key[0] in dict(model.effects) and p.name != first and not p.shape and p.neutral != MODEL:
+            far[k] = float(x[k]) - to_fit(p, float(model.setting.blank[ROW[f.key], max(f.joint, 0)]))
+    return far
+
+
 def _pruned(model: Model) -> Model:
     """Return a model without the numbers that ended at a bound that means none."""
     kept = []
@@ -190,21 +220,17 @@ def search(
     say("fitting the baseline")
     null = _baseline(data, names, threads)
     effects = tuple(effects) or applicable(null.model.setting, names)
-    best, others = null, list[Scored]()
-    for _ in range(STAGES):
-        plain = spread(best.model.without_unknown()) / noise_of(best.model)
-        say(_line(best, null, plain))
-        if plain.max() < NOISY:
-            break
-        found = stage_of(best, effects, say)
-        if not found:
-            break
-        first = found[0]
-        if not better(first, best):
-            break
-        best, others = first, found[1:]
+    best, others = _forwards(null, null, effects, say)
     best, dropped = backwards(best, null, say)
-    ties = [(describe(o.model), best.score - o.score) for o in [*others, *dropped] if best.score - o.score < TIED]
+    for part in best.model.effects if len(best.model.effects) > 1 else ():
+        reduced = scored(without(best.model, null.model, *part).settled(3, 4))
+        other, beside = _forwards(reduced, null, effects, say)
+        other, left = backwards(other, null, say)
+        if other.score > best.score + TIED:
+            best, others, dropped = other, beside, left
+            break
+    apart = {describe(o.model): float((best.blocks - o.blocks).sum()) for o in [*others, *dropped]}
+    ties = [(name, by) for name, by in apart.items() if by < TIED]
     plain = [one.model.without_unknown().differentiated() for one in (null, best)]
     before, after = (spread(one, one.left_out()) for one in plain)
     noise = noise_of(best.model)
@@ -221,6 +247,21 @@ def search(
         seconds=time.process_time() - began,
         passes=null.model.setting.passes.count,
     )
+
+
+def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -> tuple[Scored, list[Scored]]:
+    """Return a model with effects added one after another while they pay, and what else the last could have been."""
+    others: list[Scored] = []
+    while len(best.model.effects) < STAGES:
+        plain = spread(best.model.without_unknown()) / noise_of(best.model)
+        say(_line(best, null, plain))
+        if plain.max() < NOISY:
+            break
+        found = stage_of(best, effects, say)
+        if not found or not better(found[0], best):
+            break
+        best, others = found[0], found[1:]
+    return best, others
 
 
 def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
@@ -241,34 +282,23 @@ def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
     strong = np.maximum(model.unknown, FOLLOWING * model.setting.gains.torque)
     unknown = model.setting.passes.whole([model.table], [model.setting.gains.of(strong)])[0][1]
     ranked = Screen(model, unknown).run(effects)
-    made: list[Scored] = []
+    fits: list[Model] = []
     tried: dict[str, int] = {}
-    most = 0.0
     for one in sorted(ranked, key=lambda f: PRICE * f.numbers - f.gain):
-        paid = one.gain - PRICE * one.numbers
-        if len(made) >= WIDTH or paid < max(LEAST, HOPELESS * most):
+        if len(fits) >= WIDTH or one.gain - PRICE * one.numbers < LEAST:
             break
-        most = max(most, paid)
         if tried.get(one.name, 0) >= SETS:
             continue
         tried[one.name] = tried.get(one.name, 0) + 1
-        made.append(_fitted(now, one, made))
-        say(f"    {describe(made[-1].model)}: screen {one.gain:.0f}, score {made[-1].score - now.score:+.1f}")
-    made.sort(key=lambda s: -s.score)
+        fits.append(with_effect(model, one).fitted(2))
+        say(f"    {describe(fits[-1])}: screen {one.gain:.0f}, fit {model.cost - fits[-1].cost:.0f}")
+    most = max((model.cost - one.cost for one in fits), default=0.0)
+    hopeful = [one for one in fits if model.cost - one.cost >= max(HOPELESS * most, LEAST)]
+    made = sorted((scored(one.settled(3, 4)) for one in hopeful), key=lambda s: -s.score)
     for k, one in enumerate(made[:2]):
-        if not one.rough or k == 0:
-            made[k] = scored(one.model.settled(2, 4).elsewhere())
+        if one.score - now.score > HOPELESS * (made[0].score - now.score):
+            made[k] = trimmed(scored(one.model.elsewhere()))
     return sorted(made, key=lambda s: -s.score)
-
-
-def _fitted(now: Scored, one: Found, made: Sequence[Scored]) -> Scored:
-    model = with_effect(now.model, one).fitted(4)
-    gained = now.model.cost - model.cost
-    most = max((now.model.cost - m.model.cost for m in made), default=0.0)
-    if gained < HOPELESS * most:
-        blocks = now.blocks + gained / len(now.blocks)
-        return Scored(model=model, blocks=blocks, score=now.score + gained - PRICE * one.numbers, rough=True)
-    return scored(model.settled(3, 5))
 
 
 def better(new: Scored, old: Scored) -> bool:
