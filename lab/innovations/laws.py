@@ -1,7 +1,8 @@
 """The laws of the catalogue as compiled code: what drives, gears, bearings and encoders do in one step.
 
 Numbers are a table (S, J): a row for each parameter of the catalogue, the same in all joints for those of the whole
-machine. States are a table too. `mimic.dynamics.law` has the same laws for a physics engine.
+machine. States are a table too. `mimic.dynamics.law` has the same laws for a physics engine, but for heat: there the
+torque limits do not fall with it, and what is left of the torque heats.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ SPRING, MOMENT = ROW["spring", "stiffness"], ROW["spring", "moment"]
 STATES = 14
 (Q, V, QM, VM, W, GOAL, SLOW, LAGGED, HEAT, CHANGE, TAU, PUSH, AIM, GAINED) = range(STATES)
 """Rows of the table of states: position and velocity of the link and of the motor, unknown torque, filtered target,
-filtered speed, lagged torque, mean square torque, last change of the motor's speed, torque of the motor, the
+filtered speed, lagged torque, mean square of the current, last change of the motor's speed, torque of the motor, the
 friction impulse of the last step, which target is followed, and the last change of the link's speed."""
 
 LEAST = 0.05
@@ -108,7 +109,7 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
         volts: Supply of a voltage drive [V], 0 for a drive of torque.
     """
     speed, middle = s[VM, j], s[VM, j] + 0.5 * s[CHANGE, j]
-    constant = p[CONSTANT, j] * max((1.0 + p[DRIFT, j] * time / 100.0) * (1.0 - p[LOSS, j] * s[HEAT, j]), LEAST)
+    constant = p[CONSTANT, j] * max(1.0 + p[DRIFT, j] * time / 100.0, LEAST)
     stiff, damp = kp * constant * p[KP, j], kd * constant * p[KD, j] * p[SCALE, j]
     stall = np.inf
     if volts > 0.0:
@@ -142,9 +143,11 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
     if p[TORQUE_TIME, j] > 0.0:
         s[LAGGED, j], mean = slowed(s[LAGGED, j], mean, p[TORQUE_TIME, j], h)
         size = abs(mean)
-    s[TAU, j] = mean
-    if p[LOSS, j] != 0.0:
+    if p[LOSS, j] != 0.0:  # a drive limits the current, which heats; what it makes of that is less
+        left = max(1.0 - p[LOSS, j] * s[HEAT, j], LEAST)
         s[HEAT, j] += h * (mean * mean - s[HEAT, j]) / p[HEAT_TIME, j]
+        mean, size, kept = mean * left, size * left, kept * left
+    s[TAU, j] = mean
     return mean, size, kept
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -54,8 +55,19 @@ class Passes:
     """Runs passes over data."""
 
     def __init__(self, data: Data, threads: int = 1) -> None:
-        self.data, self.threads, self.count = data, threads, 0
+        self.data, self.threads, self._counted = data, threads, [0]
         self._arrays = arrays_of(data.tree, data.record)
+
+    @property
+    def count(self) -> int:
+        """Number of passes so far."""
+        return self._counted[0]
+
+    def of(self, data: Data) -> Passes:
+        """Return passes over other data, counted together."""
+        made = copy(self)
+        made.data, made._arrays = data, arrays_of(data.tree, data.record)
+        return made
 
     def run(self, points: Sequence[FloatArray], gains: Sequence[FloatArray], step: float = STEP) -> list[FloatArray]:
         """Return innovations (T, J) of some tables of numbers with their gains."""
@@ -70,7 +82,7 @@ class Passes:
             made = predict(self._arrays, item[0], item[1], DECAY, step)
             return made[0], made[1], made[2]
 
-        self.count += len(points)
+        self._counted[0] += len(points)
         pairs = list(zip(points, gains, strict=True))
         if self.threads > 1 and len(pairs) > 1:
             with ThreadPoolExecutor(self.threads) as pool:

@@ -261,19 +261,27 @@ def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -
         if not found or not better(found[0], best):
             break
         best, others = found[0], found[1:]
+        sent = _sent(best.model)
+        if sent is not best.model:
+            best = scored(sent.settled(3, 4))
     return best, others
 
 
 def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
     """Return the baseline at the sending times that explain the logs best."""
-    best: Scored | None = None
-    for times in data.sending:
-        setting = setting_of(data.sent_at(times), threads)
-        model = baseline(setting, names).settled(1, 4)
-        if best is None or model.cost < best.model.cost - LEAST:
-            best = Scored(model=model, blocks=np.zeros(0), score=0.0)
-    assert best is not None
-    return scored(best.model.settled(3, 6).elsewhere())
+    model = baseline(setting_of(data, threads), names).settled(1, 4)
+    return scored(_sent(model).settled(3, 6).elsewhere())
+
+
+def _sent(model: Model) -> Model:
+    """Return a model at the sending times that explain the logs best, of all that these allow."""
+    best = model
+    for times in model.data.sending if len(model.data.sending) > 1 else ():
+        setting = replace(model.setting, passes=model.setting.passes.of(model.data.sent_at(times)))
+        other = replace(model, setting=setting, columns=None).evaluated().fitted(2)
+        if other.cost < best.cost - LEAST:
+            best = other
+    return best
 
 
 def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
