@@ -194,6 +194,16 @@ class Model:
         """Return minus the log of how plausible values (P,) are beside the model's."""
         return 0.5 * float(sum(((v - f.centre) / f.width) ** 2 for f, v in zip(self.free, x, strict=True)))
 
+    def stopped(self, descent: FloatArray) -> BoolArray:
+        """Return which numbers are at an end of what they may be, and would go on (P,)."""
+        out = np.zeros(len(self.free), dtype=bool)
+        for k, (f, x) in enumerate(zip(self.free, self.values(), strict=True)):
+            low, high = _bounds(_parameter(f))
+            low, high = max(low, f.centre - f.within), min(high, f.centre + f.within)
+            near = 1e-6 * min(high - low, 1.0)
+            out[k] = (x <= low + near and descent[k] < 0.0) or (x >= high - near and descent[k] > 0.0)
+        return out
+
     def judged(self, e: FloatArray, table: FloatArray | None = None, unknown: FloatArray | None = None) -> Model:
         """Return the model with innovations, their scale and cost."""
         made = replace(
@@ -304,9 +314,13 @@ class Model:
         """Return a better model that a damped step leads to, if one does, and the damping of the next."""
         x = self.values()
         hessian, descent = (a + b for a, b in zip(self.normal(), self.plausibility(x), strict=True))
+        moves = ~self.stopped(descent)
+        hessian, descent = hessian[np.ix_(moves, moves)], descent[moves]
         own = np.diag(np.diag(hessian) + 1e-12)
         for _ in range(most):
-            trial = replace(self, table=self.at(x + np.linalg.solve(hessian + damping * own, descent))).evaluated()
+            to = x.copy()
+            to[moves] += np.linalg.solve(hessian + damping * own, descent)
+            trial = replace(self, table=self.at(to)).evaluated()
             if trial.cost < self.cost:
                 return trial, max(damping / 8.0, 1e-6)
             damping *= 8.0
@@ -365,6 +379,7 @@ class Model:
         total, down = now.normal()
         prior = now.plausibility(self.values())
         small = 1e-6 * np.diag(np.diag(total)) + 1e-12 * np.eye(len(down))
+        small[np.diag_indices_from(small)] += np.where(now.stopped(down + prior[1]), 1e6 * np.diag(total), 0.0)
         e = now.e.copy()
         for k in range(data.fold.max() + 1):
             rows = (data.fold == k)[data.block]

@@ -123,6 +123,8 @@ class Screen:
         white = (columns * self._root).reshape(len(columns), -1)[:, used]
         prior = np.array([1.0 / f.width for f in model.free])
         x = model.values() - np.array([f.centre for f in model.free])
+        descent = self.model.normal()[1] + self.model.plausibility(model.values())[1]
+        white[self.model.stopped(descent)] = 0.0
         # What is plausible of the numbers stands below the readings as rows of its own.
         self._basis = np.linalg.qr(np.concatenate([white, np.diag(prior)], axis=1).T)[0]
         self._extra = len(prior)
