@@ -16,12 +16,13 @@ from scipy.stats import wilcoxon
 from lab.innovations.data import Data
 from lab.innovations.laws import ROW
 from lab.innovations.model import Free, Model, Setting, setting_of, to_fit
-from lab.innovations.screen import Found, Screen, applicable, wanted, with_effect
+from lab.innovations.screen import Screen, applicable, wanted, with_effect
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray
 
 FARTHEST = 3.0
-"""Standard deviations of a drawing's tolerance beyond which a number is no error of the drawing."""
+"""Standard deviations of what is plausible beyond which a number of the baseline does not go: beyond, something else is
+lacking."""
 
 PRICE = 8.0
 """Nats of held-out log density that a number must gain: more than BIC's half log of 14,400 readings, 4.8."""
@@ -104,7 +105,8 @@ def baseline(setting: Setting, names: Sequence[str], threads: int = 1) -> Model:
     for name in names:
         for p in wanted(name):
             for j in _places(setting.data, name):
-                free.append(Free((name, p.name), j, *setting.width((name, p.name), j)))
+                width, centre = setting.width((name, p.name), j)
+                free.append(Free((name, p.name), j, width, centre, FARTHEST * width))
     for e in CATALOGUE.values():
         for p in e.parameters:
             if p.tolerance and e.name not in names:

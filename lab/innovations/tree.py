@@ -19,7 +19,8 @@ FAST_MATH = {"contract", "reassoc", "arcp", "nsz"}
 """What compiled code may do to sums and products; it keeps what is not a number."""
 
 inlined = njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True, _nrt=False)
-"""Compiles parts of a pass: nothing in them makes an array, so that none counts references, which cost half of the time."""
+"""Compiles parts of a pass. Nothing in them makes an array, so that none counts references, half of the time;
+what is compiled into another module is not made anew when it changes here: delete ``__pycache__`` then."""
 
 
 class Tree(NamedTuple):
