@@ -47,7 +47,7 @@ STAGES = 4
 """Most effects."""
 
 MATERIAL = 0.02
-"""Share of the whole gain below which an effect is not worth a name."""
+"""Share of the whole gain, and of the squared error of a plain replay, below which an effect is not worth a name."""
 
 NOISY = 1.03
 """Plain replay over the noise in all joints below which nothing is looked for."""
@@ -259,8 +259,14 @@ def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -
         say(_line(best, null, plain))
         if plain.max() < NOISY:
             break
-        found = stage_of(best, effects, say)
-        if not found or not better(found[0], best):
+        noise = noise_of(best.model)
+        worst = (1.0 - MATERIAL) * float((plain**2).sum())
+        found = [
+            one
+            for one in stage_of(best, effects, say)
+            if better(one, best) and ((spread(one.model.without_unknown()) / noise) ** 2).sum() < worst
+        ]
+        if not found:
             break
         best, others = found[0], found[1:]
         sent = _sent(best.model)
