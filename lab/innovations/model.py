@@ -391,7 +391,7 @@ class Model:
     def held_out(self) -> FloatArray:
         """Return the log density of each block (B,) under a fit without its fold."""
         lost = misfit(self.left_out(), self.scale, self.data).sum(axis=1)
-        return -np.bincount(self.data.block, lost, len(self.data.fold))
+        return -np.bincount(self.data.block, lost, len(self.data.fold)).astype(float)
 
 
 def _parameter(f: Free) -> Parameter:

@@ -427,27 +427,31 @@ def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step
         Predicted readings, unknown torques and those of the motors (3, T, J); `LOST` from where the machine flew apart.
     """
     n = p.shape[1]
-    loads = [links_of(*arrays.own, p[FACTOR], p[SHIFT], p[LOAD] + load) for load in arrays.payload]
+    mass, centre, inertia, toward, tip = arrays.own
+    factor, shift = p[FACTOR], p[SHIFT]
+    loads = [links_of(mass, centre, inertia, toward, tip, factor, shift, p[LOAD] + load) for load in arrays.payload]
     pull = gravity_of(arrays.gravity, p[ROLL, 0], p[PITCH, 0])
     touching = p[GAP] > 0.0
     ring = np.sqrt(1.0 / (p[TOUCH] * np.maximum(p[ROTOR], 1e-5)))[touching].max(initial=0.0) * USUAL
     step *= min(1.0, RING / max(ring, 1e-9))
     out = np.zeros((3, *arrays.inputs.shape[:2]))
-    room, mass, s = np.zeros((n, ROOM)), np.zeros((n, n)), np.zeros((STATES, n))
-    acts, a, solve = np.zeros((ASKED, n)), np.zeros((2 * n, 2 * n)), np.zeros((2 * n, SOLVE))
-    whole = _pass(*arrays[:8], np.stack(loads), pull, p, gains, decay, step, room, mass, s, acts, a, solve, out)
+    shapes = (n, ROOM), (n, n), (STATES, n), (ASKED, n), (2 * n, 2 * n), (2 * n, SOLVE)
+    rooms = tuple(np.zeros(shape) for shape in shapes)
+    machine = arrays.joints, arrays.shape, np.stack(loads), pull
+    logs = arrays.clock, arrays.inputs, arrays.marks, arrays.sent, arrays.goal, arrays.motors
+    whole = _pass(machine, logs, p, gains, decay, step, rooms, out)
     if whole < out.shape[1]:
         out[:, whole:] = 0.0
         out[0, whole:] = LOST
     return out
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True, _nrt=False)
-def _pass(  # type: ignore[no-untyped-def]
-    joints, shape, clock, inputs, marks, sent, goal, motors, loads, pull, p, gains, decay, step,
-    room, mass, s, acts, a, solve, out,
-):  # fmt: skip
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True, _nrt=False)  # type: ignore[call-overload]
+def _pass(machine, logs, p, gains, decay, step, rooms, out):  # type: ignore[no-untyped-def]
     """Write a pass to `out` with the room that it needs; return the row before which the machine flew apart."""
+    joints, shape, loads, pull = machine
+    clock, inputs, marks, sent, goal, motors = logs
+    room, mass, s, acts, a, solve = rooms
     n = inputs.shape[1]
     for i in range(len(clock)):
         log = marks[i, LOG]

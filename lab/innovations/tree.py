@@ -18,7 +18,9 @@ from mimic.records import BoolArray, FloatArray, IntArray
 FAST_MATH = {"contract", "reassoc", "arcp", "nsz"}
 """What compiled code may do to sums and products; it keeps what is not a number."""
 
-inlined = njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True, _nrt=False)
+inlined = njit(  # type: ignore[call-overload]
+    cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True, _nrt=False
+)
 """Compiles parts of a pass. Nothing in them makes an array, so that none counts references, half of the time;
 what is compiled into another module is not made anew when it changes here: delete ``__pycache__`` then."""
 
