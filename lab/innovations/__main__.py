@@ -13,7 +13,7 @@ import argparse
 import json
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -21,6 +21,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lab.innovations.data import Data, data_of
+from lab.innovations.laws import KEYS
+from lab.innovations.model import Model
 from lab.innovations.search import Outcome, describe, search
 from lab.real_logs.logs import (
     EMPS_MJCF,
@@ -133,6 +135,18 @@ def right(case: Case, outcome: Outcome) -> bool | None:
     )
 
 
+def unseen(model: Model) -> list[float]:
+    """Return the mean absolute error of a plain replay of each fold, fitted to the others from where a model is."""
+    data, made = model.data, []
+    for k in range(int(data.fold.max()) + 1):
+        own = (data.fold == k)[data.block][:, None]
+        others = replace(data, counts=data.counts & ~own)
+        setting = replace(model.setting, passes=model.setting.passes.of(others))
+        e = replace(model, setting=setting).without_unknown(8).e
+        made.append(float(np.abs(e[data.counts & own]).mean()))
+    return made
+
+
 def row(case: Case, outcome: Outcome) -> dict[str, object]:
     """Return what was found as numbers and words."""
     scale = 1e6 if case.data.machine.unit == "m" else 1e3
@@ -147,22 +161,18 @@ def row(case: Case, outcome: Outcome) -> dict[str, object]:
         "ties": outcome.ties,
         "numbers": {
             f"{name}.{key}": [float(f"{v:.4g}") for v in model.table[index]]
-            for index, (name, key) in enumerate(_keys())
+            for index, (name, key) in enumerate(KEYS)
             if name in dict(model.effects) or name in case.baseline
         },
         "before": [round(float(x) * scale, 3) for x in outcome.before],
         "after": [round(float(x) * scale, 3) for x in outcome.after],
         "noise": [round(float(x) * scale, 3) for x in outcome.noise],
         "mean_absolute": float(e),
+        "unseen": [] if case.data.whole == "blocks" else unseen(outcome.null.model),
+        "unseen_found": [] if case.data.whole == "blocks" else unseen(model),
         "passes": outcome.passes,
         "seconds": round(outcome.seconds, 1),
     }
-
-
-def _keys() -> tuple[tuple[str, str], ...]:
-    from lab.innovations.laws import KEYS
-
-    return KEYS
 
 
 def main() -> None:

@@ -1,15 +1,15 @@
 """The laws of the catalogue as compiled code: what drives, gears, bearings and encoders do in one step.
 
 Numbers are a table (S, J): a row for each parameter of the catalogue, the same in all joints for those of the whole
-machine. States are a table too. `mimic.dynamics.law` has the same laws for a physics engine.
+machine. States are a table too. `mimic.dynamics.law` has the same laws for a physics engine, but for heat: there the
+torque limits do not fall with it, and what is left of the torque heats.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from lab.innovations.tree import FAST_MATH
+from lab.innovations.tree import inlined
 from mimic.dynamics.catalogue import CATALOGUE
 
 KEYS = tuple((e.name, p.name) for e in CATALOGUE.values() for p in e.parameters)
@@ -38,17 +38,17 @@ COSINE, SINE = ROW["encoder_eccentricity", "cosine"], ROW["encoder_eccentricity"
 COG_COSINE, COG_SINE, COG_ORDER = (ROW["cogging", name] for name in ("cosine", "sine", "order"))
 SPRING, MOMENT = ROW["spring", "stiffness"], ROW["spring", "moment"]
 
-STATES = 12
-(Q, V, QM, VM, W, GOAL, SLOW, LAGGED, HEAT, CHANGE, TAU, PUSH) = range(STATES)
+STATES = 14
+(Q, V, QM, VM, W, GOAL, SLOW, LAGGED, HEAT, CHANGE, TAU, PUSH, AIM, GAINED) = range(STATES)
 """Rows of the table of states: position and velocity of the link and of the motor, unknown torque, filtered target,
-filtered speed, lagged torque, mean square torque, last change of the motor's speed, torque of the motor, and the
-friction impulse of the last step."""
+filtered speed, lagged torque, mean square of the current, last change of the motor's speed, torque of the motor, the
+friction impulse of the last step, which target is followed, and the last change of the link's speed."""
 
 LEAST = 0.05
 """Least share of the torque constant, and of the supply, that is left."""
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def reads(p, j, angle):  # type: ignore[no-untyped-def]
     """Return what the encoder of a joint reads where its motor is at an angle."""
     read = angle
@@ -57,7 +57,7 @@ def reads(p, j, angle):  # type: ignore[no-untyped-def]
     return read * p[SCALE, j] + p[OFFSET, j]
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def unread(p, j, reading):  # type: ignore[no-untyped-def]
     """Return the angle at which the encoder reads this."""
     turned = (reading - p[OFFSET, j]) / p[SCALE, j]
@@ -67,20 +67,20 @@ def unread(p, j, reading):  # type: ignore[no-untyped-def]
     return angle
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def elastic(p, j):  # type: ignore[no-untyped-def]
     """Return whether something gives between motor and link."""
     return p[SOFT, j] > 0.0 or p[GAP, j] > 0.0
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def slowed(state, wanted, time, h):  # type: ignore[no-untyped-def]
     """Return a first-order lag's state after a step, and its mean during the step."""
     left = np.exp(-h / time)
     return wanted + (state - wanted) * left, wanted + (state - wanted) * (1.0 - left) * time / h
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def limits(p, j, speed, supply):  # type: ignore[no-untyped-def]
     """Return the least and greatest torque of a motor at a speed, with a share of the supply."""
     most, none = p[TORQUE, j] * supply, p[SPEED, j] * supply
@@ -89,7 +89,7 @@ def limits(p, j, speed, supply):  # type: ignore[no-untyped-def]
     return -min(max((none + speed) * slope, 0.0), most), high
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):  # type: ignore[no-untyped-def]
     """Return the mean torque of a motor over a step, its mean size, and the damping that is implicit in it.
 
@@ -109,7 +109,7 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
         volts: Supply of a voltage drive [V], 0 for a drive of torque.
     """
     speed, middle = s[VM, j], s[VM, j] + 0.5 * s[CHANGE, j]
-    constant = p[CONSTANT, j] * max((1.0 + p[DRIFT, j] * time / 100.0) * (1.0 - p[LOSS, j] * s[HEAT, j]), LEAST)
+    constant = p[CONSTANT, j] * max(1.0 + p[DRIFT, j] * time / 100.0, LEAST)
     stiff, damp = kp * constant * p[KP, j], kd * constant * p[KD, j] * p[SCALE, j]
     stall = np.inf
     if volts > 0.0:
@@ -143,13 +143,15 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
     if p[TORQUE_TIME, j] > 0.0:
         s[LAGGED, j], mean = slowed(s[LAGGED, j], mean, p[TORQUE_TIME, j], h)
         size = abs(mean)
-    s[TAU, j] = mean
-    if p[LOSS, j] != 0.0:
+    if p[LOSS, j] != 0.0:  # a drive limits the current, which heats; what it makes of that is less
+        left = max(1.0 - p[LOSS, j] * s[HEAT, j], LEAST)
         s[HEAT, j] += h * (mean * mean - s[HEAT, j]) / p[HEAT_TIME, j]
+        mean, size, kept = mean * left, size * left, kept * left
+    s[TAU, j] = mean
     return mean, size, kept
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def friction(p, s, j, size, needed):  # type: ignore[no-untyped-def]
     """Return the dry friction of a joint against forward and against backward motion."""
     level = p[COULOMB, j] + p[OF_LOAD, j] * size
@@ -160,7 +162,7 @@ def friction(p, s, j, size, needed):  # type: ignore[no-untyped-def]
     return max(level + p[ONE_WAY, j], 0.0), max(level - p[ONE_WAY, j], 0.0)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def resisting(p, s, j, neighbour):  # type: ignore[no-untyped-def]
     """Return the torque on a motor's shaft that depends on its speed, beside viscous friction."""
     torque, middle = 0.0, s[VM, j] + 0.5 * s[CHANGE, j]
@@ -173,7 +175,7 @@ def resisting(p, s, j, neighbour):  # type: ignore[no-untyped-def]
     return torque
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def placed(p, s, j):  # type: ignore[no-untyped-def]
     """Return the torques on a motor's shaft and on a link that depend on where they are."""
     on_motor = 0.0
@@ -183,12 +185,13 @@ def placed(p, s, j):  # type: ignore[no-untyped-def]
     return on_motor, p[MOMENT, j] - p[SPRING, j] * s[Q, j]
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def gear(p, s, j, h):  # type: ignore[no-untyped-def]
-    """Return the torque of a transmission on its link, and the share of it that is implicit in their speeds.
+    """Return the torque of a transmission on its link at the old speeds, and what it gains with their change.
 
-    Implicit midpoint rule: the twist in the middle of the step is (old + new) / 2, so that stiff gears are stable; with
-    backlash the twist at its end, so that a contact that is noticed late gives nothing away.
+    Implicit midpoint rule: the twist in the middle of the step is that of constant speeds and a quarter of what their
+    change adds, so that stiff gears are stable; with backlash the twist at its end, so that a contact that is noticed
+    late gives nothing away.
     """
     apart, half = s[QM, j] - s[Q, j], 0.5 * p[GAP, j]
     over = apart - min(max(apart, -half), half)
@@ -198,5 +201,5 @@ def gear(p, s, j, h):  # type: ignore[no-untyped-def]
     damping = 2.0 * p[SOFT_DAMPING, j] * np.sqrt(stiffness * max(p[ROTOR, j], 1e-5))
     against = s[VM, j] - s[V, j]
     if half > 0.0:
-        return stiffness * over + 0.5 * damping * against, 0.5 * (stiffness * h + damping)
-    return stiffness * (over - 0.25 * h * against) + 0.5 * damping * against, 0.25 * stiffness * h + 0.5 * damping
+        return stiffness * (over + 0.5 * h * against) + damping * against, 0.5 * (stiffness * h + damping)
+    return stiffness * over + damping * against, 0.25 * stiffness * h + 0.5 * damping

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from mimic.sysid.log.noise import SMOOTH
 STEP = 1.25e-3
 """Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
 
-COARSE = STEP, 4.0 * STEP
+COARSE = 2.0 * STEP, 4.0 * STEP
 """The same for derivatives: with effects that have thresholds or states of their own, and without [s]."""
 
 PART = 0.5, 0.1
@@ -54,8 +55,19 @@ class Passes:
     """Runs passes over data."""
 
     def __init__(self, data: Data, threads: int = 1) -> None:
-        self.data, self.threads, self.count = data, threads, 0
+        self.data, self.threads, self._counted = data, threads, [0]
         self._arrays = arrays_of(data.tree, data.record)
+
+    @property
+    def count(self) -> int:
+        """Number of passes so far."""
+        return self._counted[0]
+
+    def of(self, data: Data) -> Passes:
+        """Return passes over other data, counted together."""
+        made = copy(self)
+        made.data, made._arrays = data, arrays_of(data.tree, data.record)
+        return made
 
     def run(self, points: Sequence[FloatArray], gains: Sequence[FloatArray], step: float = STEP) -> list[FloatArray]:
         """Return innovations (T, J) of some tables of numbers with their gains."""
@@ -67,11 +79,10 @@ class Passes:
         """Return predicted readings, unknown torques and torques of the motors (T, J) of each."""
 
         def one(item: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
-            out = np.empty((3, *self.data.record.y.shape))
-            predict(*self._arrays, item[0], item[1], DECAY, step, out)
-            return out[0], out[1], out[2]
+            made = predict(self._arrays, item[0], item[1], DECAY, step)
+            return made[0], made[1], made[2]
 
-        self.count += len(points)
+        self._counted[0] += len(points)
         pairs = list(zip(points, gains, strict=True))
         if self.threads > 1 and len(pairs) > 1:
             with ThreadPoolExecutor(self.threads) as pool:
@@ -183,6 +194,16 @@ class Model:
         """Return minus the log of how plausible values (P,) are beside the model's."""
         return 0.5 * float(sum(((v - f.centre) / f.width) ** 2 for f, v in zip(self.free, x, strict=True)))
 
+    def stopped(self, descent: FloatArray) -> BoolArray:
+        """Return which numbers are at an end of what they may be, and would go on (P,)."""
+        out = np.zeros(len(self.free), dtype=bool)
+        for k, (f, x) in enumerate(zip(self.free, self.values(), strict=True)):
+            low, high = _bounds(_parameter(f))
+            low, high = max(low, f.centre - f.within), min(high, f.centre + f.within)
+            near = 1e-6 * min(high - low, 1.0)
+            out[k] = (x <= low + near and descent[k] < 0.0) or (x >= high - near and descent[k] > 0.0)
+        return out
+
     def judged(self, e: FloatArray, table: FloatArray | None = None, unknown: FloatArray | None = None) -> Model:
         """Return the model with innovations, their scale and cost."""
         made = replace(
@@ -219,9 +240,9 @@ class Model:
         step = COARSE[0] if stiff else COARSE[1]
         *moved, still = self.setting.passes.run([*tables, self.table], [gains] * (len(tables) + 1), step)
         columns = np.zeros((len(x), *self.e.shape))
-        for k, f in enumerate(self.free):
-            own = slice(None) if f.joint < 0 else np.asarray(data.machine.chain) == data.machine.chain[f.joint]
-            columns[k][:, own] = ((moved[colours[k]] - still) / shift[k])[:, own]
+        reach = self._reach()
+        for k in range(len(x)):
+            columns[k][:, reach[k]] = ((moved[colours[k]] - still) / shift[k])[:, reach[k]]
         return replace(self, columns=np.nan_to_num(columns))
 
     def normal(self, rows: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -256,10 +277,8 @@ class Model:
         """
         now = self if len(self.e) else self.evaluated()
         damping, fresh = 1e-3, now.columns is not None
-        for _ in range(2 * most):
+        while now.columns is not None or most > 0:
             if now.columns is None:
-                if most == 0:
-                    break
                 now, fresh, most = now.differentiated(), True, most - 1
             better, damping = now._step(damping, 5 if fresh else 1)
             if better is None and fresh:
@@ -268,19 +287,40 @@ class Model:
                 now = replace(now, columns=None)
                 continue
             gained = now.cost - better.cost
+            now = replace(better, columns=now._secant(better))
             if gained < enough and fresh:
-                return better
-            now = replace(better, columns=now.columns if fresh else None)
+                break
+            if gained < enough:
+                now = replace(now, columns=None)
             fresh = False
-        return replace(now, columns=None)
+        return now
+
+    def _secant(self, new: Model) -> FloatArray:
+        """Return the derivatives such that they tell the way to a new model. Source: Broyden 1965."""
+        assert self.columns is not None
+        by = new.values() - self.values()
+        weighed = np.diag(self.normal()[0]) * by
+        missed = np.nan_to_num(new.e - self.e) - np.einsum("p,ptj->tj", by, self.columns)
+        share = self._reach() * weighed[:, None]
+        share /= np.maximum(by @ share, 1e-300)
+        return self.columns + share[:, None, :] * missed
+
+    def _reach(self) -> BoolArray:
+        """Return which joints each number moves (P, J): those of its chain."""
+        chain = np.asarray(self.data.machine.chain)
+        return np.stack([np.full(len(chain), f.joint < 0) | (chain == chain[f.joint]) for f in self.free])
 
     def _step(self, damping: float, most: int) -> tuple[Model | None, float]:
         """Return a better model that a damped step leads to, if one does, and the damping of the next."""
         x = self.values()
         hessian, descent = (a + b for a, b in zip(self.normal(), self.plausibility(x), strict=True))
+        moves = ~self.stopped(descent)
+        hessian, descent = hessian[np.ix_(moves, moves)], descent[moves]
         own = np.diag(np.diag(hessian) + 1e-12)
         for _ in range(most):
-            trial = replace(self, table=self.at(x + np.linalg.solve(hessian + damping * own, descent))).evaluated()
+            to = x.copy()
+            to[moves] += np.linalg.solve(hessian + damping * own, descent)
+            trial = replace(self, table=self.at(to)).evaluated()
             if trial.cost < self.cost:
                 return trial, max(damping / 8.0, 1e-6)
             damping *= 8.0
@@ -339,6 +379,7 @@ class Model:
         total, down = now.normal()
         prior = now.plausibility(self.values())
         small = 1e-6 * np.diag(np.diag(total)) + 1e-12 * np.eye(len(down))
+        small[np.diag_indices_from(small)] += np.where(now.stopped(down + prior[1]), 1e6 * np.diag(total), 0.0)
         e = now.e.copy()
         for k in range(data.fold.max() + 1):
             rows = (data.fold == k)[data.block]
@@ -350,7 +391,7 @@ class Model:
     def held_out(self) -> FloatArray:
         """Return the log density of each block (B,) under a fit without its fold."""
         lost = misfit(self.left_out(), self.scale, self.data).sum(axis=1)
-        return -np.bincount(self.data.block, lost, len(self.data.fold))
+        return -np.bincount(self.data.block, lost, len(self.data.fold)).astype(float)
 
 
 def _parameter(f: Free) -> Parameter:
@@ -404,7 +445,7 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0.0 * one, 0.0 * one)
     room, mass = np.zeros((n, ROOM)), np.zeros((n, n))
     room[:, AT] = np.median(smooth, axis=0)
-    dynamics(joints, shape, links, tree.gravity, room, mass)
+    dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
     rotor = blank[ROW["armature", "inertia"]]
     inertia = np.diag(mass) + rotor
     width = max(round(SMOOTH / float(np.median(dt))), 1)
@@ -416,7 +457,7 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     needed = np.zeros_like(smooth)
     for i in range(0, len(smooth), 5):
         room[:, AT], room[:, MOVING] = calm[i], speed[i]
-        dynamics(joints, shape, links, tree.gravity, room, mass)
+        dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
         needed[i : i + 5] = mass @ faster[i] + rotor * faster[i] + room[:, BIAS]
 
     def rms(x: FloatArray) -> FloatArray:

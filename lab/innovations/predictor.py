@@ -13,10 +13,13 @@ import numpy as np
 from numba import njit
 
 from lab.innovations.laws import (
+    AIM,
     CHANGE,
     DELAY,
     DROP,
     FACTOR,
+    GAINED,
+    GAP,
     GOAL,
     JOINT_DELAY,
     KT,
@@ -31,6 +34,7 @@ from lab.innovations.laws import (
     SHIFT,
     STATES,
     TAU,
+    TOUCH,
     VISCOUS,
     VM,
     Q,
@@ -56,6 +60,7 @@ from lab.innovations.tree import (
     STIFFNESS,
     Tree,
     dynamics,
+    inlined,
     links_of,
     packed,
 )
@@ -63,6 +68,15 @@ from mimic.records import BoolArray, FloatArray, IntArray
 
 LOST = 1e3
 """What a pass says where the machine flew apart: speeds beyond it, and predictions from there on [rad/s, rad]."""
+
+RING = 0.6
+"""Share of a radian of the ringing of a contact in a step of `USUAL` at which contacts are met in time."""
+
+USUAL = 1.25e-3
+"""Step to which that refers [s]."""
+
+RIGID = 5e-3
+"""Time for which masses, gravity and Coriolis forces are those in its middle [s]: drives and friction change faster."""
 
 SWEEPS = 40
 """Most sweeps over the joints to find which stick; each leaves a part of the error that masses couple."""
@@ -112,19 +126,14 @@ class Record(NamedTuple):
     """(J,)"""
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
-def gravity_of(gravity, roll, pitch):  # type: ignore[no-untyped-def]
+def gravity_of(gravity: FloatArray, roll: float, pitch: float) -> FloatArray:
     """Return gravity in the axes of a base turned by roll about x, then pitch about y."""
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    out = np.empty(3)
-    out[0] = cp * gravity[0] - sp * gravity[2]
     across = sp * gravity[0] + cp * gravity[2]
-    out[1] = cr * gravity[1] + sr * across
-    out[2] = cr * across - sr * gravity[1]
-    return out
+    return np.array([cp * gravity[0] - sp * gravity[2], cr * gravity[1] + sr * across, cr * across - sr * gravity[1]])
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def inverted(a, m):  # type: ignore[no-untyped-def]
     """Invert the first m rows and columns of a symmetric positive matrix in place."""
     if m == 1:
@@ -151,7 +160,7 @@ def inverted(a, m):  # type: ignore[no-untyped-def]
         a[k, k] = pivot
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def braked(a, m, solve):  # type: ignore[no-untyped-def]
     """Let dry friction act on velocities for a step: impulses within bounds that stop what they can.
 
@@ -241,7 +250,7 @@ def arrays_of(tree: Tree, record: Record) -> Arrays:
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def supply_left(p, s):  # type: ignore[no-untyped-def]
     """Return the share of the supply that is left while motors do the work of the last step."""
     if p[DROP, 0] == 0.0:
@@ -252,16 +261,16 @@ def supply_left(p, s):  # type: ignore[no-untyped-def]
     return max(1.0 - p[DROP, 0] * drawn, LEAST)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
-def ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h):  # type: ignore[no-untyped-def]
+@inlined
+def ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h):  # type: ignore[no-untyped-def]
     """Let all drives and outer torques act for step k of those that end at row i."""
     left = supply_left(p, s) * clock[i, SUPPLY]
     for j in range(s.shape[1]):
         begin = clock[i - 1, TIME] + k * h - p[DELAY, j] - p[JOINT_DELAY, j]
-        aim = at[j]
+        aim = int(s[AIM, j])
         while aim + 1 < len(sent) and sent[aim + 1] <= begin:
             aim += 1
-        at[j] = aim
+        s[AIM, j] = aim
         first = goal[aim, j]
         second = first
         share = 1.0
@@ -283,7 +292,7 @@ def ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h):  # type: ig
         acts[DAMPING, j] = p[VISCOUS, j] + kept
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # type: ignore[no-untyped-def]
     """Write the masses (C, C), forces and friction of a chain with its rotors; return how many there are."""
     end = joints[begin, END]
@@ -322,7 +331,7 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
     return count
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no-untyped-def]
     """Bring the velocities of all joints and rotors to the end of a step."""
     n = s.shape[1]
@@ -340,6 +349,7 @@ def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no
         row = end - begin
         for j in range(begin, end):
             at = j - begin
+            s[GAINED, j] = solve[at, FAST] - s[V, j]
             s[V, j] = solve[at, FAST]
             if elastic(p, j):
                 at = row
@@ -350,11 +360,12 @@ def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no
         begin = end
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
-def begin_at(clock, inputs, sent, goal, p, s, at, i):  # type: ignore[no-untyped-def]
+@inlined
+def begin_at(clock, inputs, sent, goal, p, s, i):  # type: ignore[no-untyped-def]
     """Let a pass begin at rest at the readings of a row."""
-    s[:] = 0.0
     for j in range(s.shape[1]):
+        for k in range(STATES):
+            s[k, j] = 0.0
         row = i
         while row + 1 < len(clock) and not np.isfinite(inputs[row, j, READING]):
             row += 1
@@ -363,11 +374,11 @@ def begin_at(clock, inputs, sent, goal, p, s, at, i):  # type: ignore[no-untyped
         aim = 0
         while aim + 1 < len(sent) and sent[aim + 1] <= clock[i, TIME] - p[DELAY, j] - p[JOINT_DELAY, j]:
             aim += 1
-        at[j] = aim
+        s[AIM, j] = aim
         s[GOAL, j] = goal[aim, j]
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def correct(p, s, inputs, gains, out, i, log, settled):  # type: ignore[no-untyped-def]
     """Write what is predicted of a row, and correct the state by what was read."""
     for j in range(s.shape[1]):
@@ -382,75 +393,87 @@ def correct(p, s, inputs, gains, out, i, log, settled):  # type: ignore[no-untyp
             s[W, j] += gains[log, settled, j, 2] * off
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
-def half(p, s, room, h):  # type: ignore[no-untyped-def]
+@inlined
+def half(p, s, h):  # type: ignore[no-untyped-def]
     """Bring positions half of a step on; return whether the machine holds together."""
     whole = True
     for j in range(s.shape[1]):
         s[Q, j] += 0.5 * h * s[V, j]
         s[QM, j] += 0.5 * h * s[VM, j]
-        room[j, AT] = s[Q, j]
-        room[j, MOVING] = s[V, j] if elastic(p, j) else s[V, j] + 0.5 * s[CHANGE, j]
         whole = whole and abs(s[V, j]) < LOST and abs(s[VM, j]) < LOST
     return whole
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True)
-def predict(  # type: ignore[no-untyped-def]
-    joints, shape, clock, inputs, marks, sent, goal, motors, payload, own, gravity, p, gains, decay, step, out
-):
-    """Write what a machine with some numbers is predicted to do, reading by reading.
+@inlined
+def ahead(p, s, room, h, steps):  # type: ignore[no-untyped-def]
+    """Write where the links will be in the middle of some steps, from the middle of their first."""
+    for j in range(s.shape[1]):
+        room[j, MOVING] = s[V, j] + 0.5 * steps * s[GAINED, j]
+        room[j, AT] = s[Q, j] + 0.5 * (steps - 1) * h * room[j, MOVING]
+
+
+def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step: float) -> FloatArray:
+    """Return what a machine with some numbers is predicted to do, reading by reading.
 
     Args:
-        joints: These and all before p are `Arrays`.
-        shape: -
-        clock: -
-        inputs: -
-        marks: -
-        sent: -
-        goal: -
-        motors: -
-        payload: -
-        own: -
-        gravity: -
+        arrays: The machine and its logs.
         p: Numbers (S, J).
         gains: Corrections of position, velocity and unknown torque for each radian (L, 2, J, 3): while the start is
             sought, and after.
         decay: Time constant of the unknown torque [s].
         step: Longest step [s].
-        out: Takes predicted readings, unknown torques and those of the motors (3, T, J).
 
     Returns:
-        Whether the machine held together.
+        Predicted readings, unknown torques and those of the motors (3, T, J); `LOST` from where the machine flew apart.
     """
+    n = p.shape[1]
+    mass, centre, inertia, toward, tip = arrays.own
+    factor, shift = p[FACTOR], p[SHIFT]
+    loads = [links_of(mass, centre, inertia, toward, tip, factor, shift, p[LOAD] + load) for load in arrays.payload]
+    pull = gravity_of(arrays.gravity, p[ROLL, 0], p[PITCH, 0])
+    touching = p[GAP] > 0.0
+    ring = np.sqrt(1.0 / (p[TOUCH] * np.maximum(p[ROTOR], 1e-5)))[touching].max(initial=0.0) * USUAL
+    step *= min(1.0, RING / max(ring, 1e-9))
+    out = np.zeros((3, *arrays.inputs.shape[:2]))
+    shapes = (n, ROOM), (n, n), (STATES, n), (ASKED, n), (2 * n, 2 * n), (2 * n, SOLVE)
+    rooms = tuple(np.zeros(shape) for shape in shapes)
+    machine = arrays.joints, arrays.shape, np.stack(loads), pull
+    logs = arrays.clock, arrays.inputs, arrays.marks, arrays.sent, arrays.goal, arrays.motors
+    whole = _pass(machine, logs, p, gains, decay, step, rooms, out)
+    if whole < out.shape[1]:
+        out[:, whole:] = 0.0
+        out[0, whole:] = LOST
+    return out
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True, _nrt=False)  # type: ignore[call-overload]
+def _pass(machine, logs, p, gains, decay, step, rooms, out):  # type: ignore[no-untyped-def]
+    """Write a pass to `out` with the room that it needs; return the row before which the machine flew apart."""
+    joints, shape, loads, pull = machine
+    clock, inputs, marks, sent, goal, motors = logs
+    room, mass, s, acts, a, solve = rooms
     n = inputs.shape[1]
-    s, room, mass = np.zeros((STATES, n)), np.zeros((n, ROOM)), np.zeros((n, n))
-    acts, a, solve = np.zeros((ASKED, n)), np.zeros((2 * n, 2 * n)), np.zeros((2 * n, SOLVE))
-    at = np.zeros(n, dtype=np.int64)
-    pull = gravity_of(gravity, p[ROLL, 0], p[PITCH, 0])
-    links = np.zeros((n, 10))
     for i in range(len(clock)):
         log = marks[i, LOG]
         if marks[i, FRESH]:
-            links = links_of(own[0], own[1], own[2], own[3], own[4], p[FACTOR], p[SHIFT], p[LOAD] + payload[log])
-            begin_at(clock, inputs, sent, goal, p, s, at, i)
+            begin_at(clock, inputs, sent, goal, p, s, i)
             correct(p, s, inputs, gains, out, i, log, marks[i, SETTLED])
             continue
         gap = clock[i, TIME] - clock[i - 1, TIME]
         steps = max(int(np.ceil(gap / step - 1e-3)), 1)
         h = gap / steps
         kept = np.exp(-h / decay)
+        together = max(int(RIGID / h + 1e-3), 1)
         for k in range(steps):
-            half(p, s, room, h)
-            dynamics(joints, shape, links, pull, room, mass)
-            ask(clock, inputs, sent, goal, motors, p, s, acts, at, i, k, h)
+            half(p, s, h)
+            if k % together == 0:
+                ahead(p, s, room, h, min(together, steps - k))
+                dynamics(joints, shape, loads, log, pull, room, mass)
+            ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h)
             move(joints, shape, p, s, acts, room, mass, a, solve, h)
             for j in range(n):
                 s[W, j] *= kept
-            if not half(p, s, room, h):
-                out[0, i:] = LOST
-                out[1, i:] = 0.0
-                out[2, i:] = 0.0
-                return False
+            if not half(p, s, h):
+                return i
         correct(p, s, inputs, gains, out, i, log, marks[i, SETTLED])
-    return True
+    return len(clock)

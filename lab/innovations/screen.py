@@ -123,6 +123,8 @@ class Screen:
         white = (columns * self._root).reshape(len(columns), -1)[:, used]
         prior = np.array([1.0 / f.width for f in model.free])
         x = model.values() - np.array([f.centre for f in model.free])
+        descent = self.model.normal()[1] + self.model.plausibility(model.values())[1]
+        white[self.model.stopped(descent)] = 0.0
         # What is plausible of the numbers stands below the readings as rows of its own.
         self._basis = np.linalg.qr(np.concatenate([white, np.diag(prior)], axis=1).T)[0]
         self._extra = len(prior)
@@ -305,12 +307,14 @@ def _at(model: Model, found: Found, numbers: Sequence[Mapping[str, float]], shar
             width, centre = model.setting.width((found.name, parameter), j)
             keys.append(Free((found.name, parameter), j, width, centre))
     new = {(f.key, f.joint) for f in keys}
+    effects = dict(model.effects)
+    effects[found.name] = tuple(sorted({*effects.get(found.name, ()), *found.joints}))
     kept = tuple(f for f in model.free if (f.key, f.joint) not in new)
     return replace(
         model,
         free=(*kept, *keys),
         table=table,
-        effects=(*model.effects, (found.name, found.joints)),
+        effects=tuple(effects.items()),
         columns=None,
         e=np.zeros((0, 0)),
     )

@@ -15,13 +15,14 @@ from scipy.stats import wilcoxon
 
 from lab.innovations.data import Data
 from lab.innovations.laws import ROW
-from lab.innovations.model import Free, Model, Setting, setting_of
-from lab.innovations.screen import Found, Screen, applicable, wanted, with_effect
-from mimic.dynamics.catalogue import CATALOGUE
+from lab.innovations.model import Free, Model, Setting, setting_of, to_fit
+from lab.innovations.screen import Screen, applicable, wanted, with_effect
+from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray
 
 FARTHEST = 3.0
-"""Standard deviations of a drawing's tolerance beyond which a number is no error of the drawing."""
+"""Standard deviations of what is plausible beyond which a number of the baseline does not go: beyond, something else is
+lacking."""
 
 PRICE = 8.0
 """Nats of held-out log density that a number must gain: more than BIC's half log of 14,400 readings, 4.8."""
@@ -39,14 +40,14 @@ WIDTH = 6
 SETS = 2
 """Sets of joints of one effect among them."""
 
-HOPELESS = 0.25
+HOPELESS = 0.5
 """Share of the best candidate's gain below which another is not fitted to the end."""
 
 STAGES = 4
 """Most effects."""
 
 MATERIAL = 0.02
-"""Share of the whole gain below which an effect is not worth a name."""
+"""Share of the whole gain, and of the squared error of a plain replay, below which an effect is not worth a name."""
 
 NOISY = 1.03
 """Plain replay over the noise in all joints below which nothing is looked for."""
@@ -58,7 +59,7 @@ MOST = 0.9
 """Or share of the squared error beyond the noise that it must remove."""
 
 TIED = 6.0
-"""Nats up to which two explanations are not told apart: odds of 400 to one."""
+"""Nats of held-out log density up to which two explanations are not told apart: odds of 400 to one."""
 
 FOLLOWING = 0.1
 """Unknown torque of a pass that follows every reading, as a share of the torque of a joint."""
@@ -74,8 +75,6 @@ class Scored:
     blocks: FloatArray
     """Held-out log density of each block (B,)."""
     score: float
-    rough: bool = False
-    """Not fitted to the end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +105,8 @@ def baseline(setting: Setting, names: Sequence[str], threads: int = 1) -> Model:
     for name in names:
         for p in wanted(name):
             for j in _places(setting.data, name):
-                free.append(Free((name, p.name), j, *setting.width((name, p.name), j)))
+                width, centre = setting.width((name, p.name), j)
+                free.append(Free((name, p.name), j, width, centre, FARTHEST * width))
     for e in CATALOGUE.values():
         for p in e.parameters:
             if p.tolerance and e.name not in names:
@@ -145,6 +145,38 @@ def scored(model: Model) -> Scored:
     return Scored(
         model=model, blocks=blocks, score=float(blocks.sum()) - model.implausible(x) - PRICE * model.numbers()
     )
+
+
+def trimmed(one: Scored) -> Scored:
+    """Return a model without numbers of its effects that do not pay, but for the one by which an effect is itself: that
+    named first.
+    """
+    model = one.model.differentiated()
+    x = model.values()
+    spread = np.diag(np.linalg.pinv(model.normal()[0] + model.plausibility(x)[0]))
+    losses = {k: float(0.5 * by**2 / spread[k]) for k, by in _beside(model, x).items()}
+    idle = min(losses, key=lambda k: losses[k], default=-1)
+    if idle < 0 or losses[idle] > PRICE:
+        return one
+    table, free = model.table.copy(), list(model.free)
+    gone = free.pop(idle)
+    where = ROW[gone.key], slice(None) if gone.joint < 0 else gone.joint
+    table[where] = model.setting.blank[where]
+    columns = None if model.columns is None else np.delete(model.columns, idle, axis=0)
+    less = replace(model, table=table, free=tuple(free), columns=columns).evaluated()
+    other = scored(less.settled(1, 3))
+    return trimmed(other) if other.score > one.score else one
+
+
+def _beside(model: Model, x: FloatArray) -> dict[int, float]:
+    """Return how far numbers are from none that an effect can do without, by their places."""
+    far = {}
+    for k, f in enumerate(model.free):
+        p = CATALOGUE[f.key[0]].parameter(f.key[1])
+        first = wanted(f.key[0])[0].name
+        if f.key[0] in dict(model.effects) and p.name != first and not p.shape and p.neutral != MODEL:
+            far[k] = float(x[k]) - to_fit(p, float(model.setting.blank[ROW[f.key], max(f.joint, 0)]))
+    return far
 
 
 def _pruned(model: Model) -> Model:
@@ -190,21 +222,17 @@ def search(
     say("fitting the baseline")
     null = _baseline(data, names, threads)
     effects = tuple(effects) or applicable(null.model.setting, names)
-    best, others = null, list[Scored]()
-    for _ in range(STAGES):
-        plain = spread(best.model.without_unknown()) / noise_of(best.model)
-        say(_line(best, null, plain))
-        if plain.max() < NOISY:
-            break
-        found = stage_of(best, effects, say)
-        if not found:
-            break
-        first = found[0]
-        if not better(first, best):
-            break
-        best, others = first, found[1:]
+    best, others = _forwards(null, null, effects, say)
     best, dropped = backwards(best, null, say)
-    ties = [(describe(o.model), best.score - o.score) for o in [*others, *dropped] if best.score - o.score < TIED]
+    for part in best.model.effects if len(best.model.effects) > 1 else ():
+        reduced = scored(without(best.model, null.model, *part).settled(3, 4))
+        other, beside = _forwards(reduced, null, effects, say)
+        other, left = backwards(other, null, say)
+        if other.score > best.score + TIED:
+            best, others, dropped = other, beside, left
+            break
+    apart = {describe(o.model): float((best.blocks - o.blocks).sum()) for o in [*others, *dropped]}
+    ties = [(name, by) for name, by in apart.items() if by < TIED]
     plain = [one.model.without_unknown().differentiated() for one in (null, best)]
     before, after = (spread(one, one.left_out()) for one in plain)
     noise = noise_of(best.model)
@@ -223,16 +251,45 @@ def search(
     )
 
 
+def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -> tuple[Scored, list[Scored]]:
+    """Return a model with effects added one after another while they pay, and what else the last could have been."""
+    others: list[Scored] = []
+    while len(best.model.effects) < STAGES:
+        plain = spread(best.model.without_unknown()) / noise_of(best.model)
+        say(_line(best, null, plain))
+        if plain.max() < NOISY:
+            break
+        noise = noise_of(best.model)
+        worst = (1.0 - MATERIAL) * float((plain**2).sum())
+        found = [
+            one
+            for one in stage_of(best, effects, say)
+            if better(one, best) and ((spread(one.model.without_unknown()) / noise) ** 2).sum() < worst
+        ]
+        if not found:
+            break
+        best, others = found[0], found[1:]
+        sent = _sent(best.model)
+        if sent is not best.model:
+            best = scored(sent.settled(3, 4))
+    return best, others
+
+
 def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
     """Return the baseline at the sending times that explain the logs best."""
-    best: Scored | None = None
-    for times in data.sending:
-        setting = setting_of(data.sent_at(times), threads)
-        model = baseline(setting, names).settled(1, 4)
-        if best is None or model.cost < best.model.cost - LEAST:
-            best = Scored(model=model, blocks=np.zeros(0), score=0.0)
-    assert best is not None
-    return scored(best.model.settled(3, 6).elsewhere())
+    model = baseline(setting_of(data, threads), names).settled(1, 4)
+    return scored(_sent(model).settled(3, 6).elsewhere())
+
+
+def _sent(model: Model) -> Model:
+    """Return a model at the sending times that explain the logs best, of all that these allow."""
+    best = model
+    for times in model.data.sending if len(model.data.sending) > 1 else ():
+        setting = replace(model.setting, passes=model.setting.passes.of(model.data.sent_at(times)))
+        other = replace(model, setting=setting, columns=None).evaluated().fitted(2)
+        if other.cost < best.cost - LEAST:
+            best = other
+    return best
 
 
 def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
@@ -241,34 +298,23 @@ def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
     strong = np.maximum(model.unknown, FOLLOWING * model.setting.gains.torque)
     unknown = model.setting.passes.whole([model.table], [model.setting.gains.of(strong)])[0][1]
     ranked = Screen(model, unknown).run(effects)
-    made: list[Scored] = []
+    fits: list[Model] = []
     tried: dict[str, int] = {}
-    most = 0.0
     for one in sorted(ranked, key=lambda f: PRICE * f.numbers - f.gain):
-        paid = one.gain - PRICE * one.numbers
-        if len(made) >= WIDTH or paid < max(LEAST, HOPELESS * most):
+        if len(fits) >= WIDTH or one.gain - PRICE * one.numbers < LEAST:
             break
-        most = max(most, paid)
         if tried.get(one.name, 0) >= SETS:
             continue
         tried[one.name] = tried.get(one.name, 0) + 1
-        made.append(_fitted(now, one, made))
-        say(f"    {describe(made[-1].model)}: screen {one.gain:.0f}, score {made[-1].score - now.score:+.1f}")
-    made.sort(key=lambda s: -s.score)
+        fits.append(with_effect(model, one).fitted(2))
+        say(f"    {describe(fits[-1])}: screen {one.gain:.0f}, fit {model.cost - fits[-1].cost:.0f}")
+    most = max((model.cost - one.cost for one in fits), default=0.0)
+    hopeful = [one for one in fits if model.cost - one.cost >= max(HOPELESS * most, LEAST)]
+    made = sorted((scored(one.settled(3, 4)) for one in hopeful), key=lambda s: -s.score)
     for k, one in enumerate(made[:2]):
-        if not one.rough or k == 0:
-            made[k] = scored(one.model.settled(2, 4).elsewhere())
+        if one.score - now.score > HOPELESS * (made[0].score - now.score):
+            made[k] = trimmed(scored(one.model.elsewhere()))
     return sorted(made, key=lambda s: -s.score)
-
-
-def _fitted(now: Scored, one: Found, made: Sequence[Scored]) -> Scored:
-    model = with_effect(now.model, one).fitted(4)
-    gained = now.model.cost - model.cost
-    most = max((now.model.cost - m.model.cost for m in made), default=0.0)
-    if gained < HOPELESS * most:
-        blocks = now.blocks + gained / len(now.blocks)
-        return Scored(model=model, blocks=blocks, score=now.score + gained - PRICE * one.numbers, rough=True)
-    return scored(model.settled(3, 5))
 
 
 def better(new: Scored, old: Scored) -> bool:

@@ -18,6 +18,12 @@ from mimic.records import BoolArray, FloatArray, IntArray
 FAST_MATH = {"contract", "reassoc", "arcp", "nsz"}
 """What compiled code may do to sums and products; it keeps what is not a number."""
 
+inlined = njit(  # type: ignore[call-overload]
+    cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True, _nrt=False
+)
+"""Compiles parts of a pass. Nothing in them makes an array, so that none counts references, half of the time;
+what is compiled into another module is not made anew when it changes here: delete ``__pycache__`` then."""
+
 
 class Tree(NamedTuple):
     """A machine in the frames of its joints: origin on the axis, z along it. Arrays begin with the joints (J,)."""
@@ -156,13 +162,13 @@ def packed(tree: Tree) -> tuple[IntArray, FloatArray]:
     return whole, np.ascontiguousarray(np.concatenate([turned, tree.offset, rest], axis=1))
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def cross(a, b, c, x, y, z):  # type: ignore[no-untyped-def]
     """Return the cross product of two vectors given by their components."""
     return b * z - c * y, c * x - a * z, a * y - b * x
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def place(joints, shape, room):  # type: ignore[no-untyped-def]
     """Write axes, origins and unit motions of all joints at their positions."""
     for i in range(len(joints)):
@@ -199,20 +205,20 @@ def place(joints, shape, room):  # type: ignore[no-untyped-def]
             room[i, SCREW + 3], room[i, SCREW + 4], room[i, SCREW + 5] = u, v, w
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
-def weigh(links, room):  # type: ignore[no-untyped-def]
-    """Write each link's numbers about the world's origin in world axes, from those in its own frame (J, 10)."""
-    for i in range(len(links)):
-        m, cx, cy, cz = links[i, 0], links[i, 1], links[i, 2], links[i, 3]
+@inlined
+def weigh(loads, log, room):  # type: ignore[no-untyped-def]
+    """Write each link's numbers about the world's origin in world axes, from those in its own frame (L, J, 10)."""
+    for i in range(loads.shape[1]):
+        m, cx, cy, cz = loads[log, i, 0], loads[log, i, 1], loads[log, i, 2], loads[log, i, 3]
         hx = room[i, 0] * cx + room[i, 1] * cy + room[i, 2] * cz
         hy = room[i, 3] * cx + room[i, 4] * cy + room[i, 5] * cz
         hz = room[i, 6] * cx + room[i, 7] * cy + room[i, 8] * cz
         k = BODY + 4
         for a in range(3):
             u, v, w = room[i, 3 * a], room[i, 3 * a + 1], room[i, 3 * a + 2]
-            x = u * links[i, 4] + v * links[i, 5] + w * links[i, 6]
-            y = u * links[i, 5] + v * links[i, 7] + w * links[i, 8]
-            z = u * links[i, 6] + v * links[i, 8] + w * links[i, 9]
+            x = u * loads[log, i, 4] + v * loads[log, i, 5] + w * loads[log, i, 6]
+            y = u * loads[log, i, 5] + v * loads[log, i, 7] + w * loads[log, i, 8]
+            z = u * loads[log, i, 6] + v * loads[log, i, 8] + w * loads[log, i, 9]
             for b in range(a, 3):
                 room[i, k] = x * room[i, 3 * b] + y * room[i, 3 * b + 1] + z * room[i, 3 * b + 2]
                 k += 1
@@ -229,7 +235,7 @@ def weigh(links, room):  # type: ignore[no-untyped-def]
         room[i, BODY + 2], room[i, BODY + 3] = hy + m * py, hz + m * pz
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def momentum(room, i, s):  # type: ignore[no-untyped-def]
     """Return angular and linear momentum about the origin of a joint's body at the spatial velocity in column s."""
     b, a = BODY, s
@@ -249,7 +255,7 @@ def momentum(room, i, s):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
     """Write the spatial force that each link needs at the velocities, without acceleration of the joints."""
     for i in range(len(joints)):
@@ -283,7 +289,7 @@ def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
         room[i, FORCE + 3], room[i, FORCE + 4], room[i, FORCE + 5] = f3 + x, f4 + y, f5 + z
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
+@inlined
 def gather(joints, room, mass):  # type: ignore[no-untyped-def]
     """Write mass matrix (J, J) and bias forces, from the last joint to the base; bodies become composite ones."""
     for i in range(len(joints) - 1, -1, -1):
@@ -307,20 +313,22 @@ def gather(joints, room, mass):  # type: ignore[no-untyped-def]
             j = joints[j, PARENT]
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True)
-def dynamics(joints, shape, links, gravity, room, mass):  # type: ignore[no-untyped-def]
+@inlined
+def dynamics(joints, shape, loads, log, gravity, room, mass):  # type: ignore[no-untyped-def]
     """Write mass matrix and bias forces (gravity, Coriolis, centrifugal) at the positions and velocities in the room.
 
     Args:
         joints: Whole numbers of the tree (J, 4).
         shape: Its geometry (J, 15).
-        links: Numbers of its links in their frames (J, 10): mass, mass times centre, inertia about the frame's origin.
+        loads: Numbers of its links in their frames (L, J, 10) with the load of each log: mass, mass times centre,
+            inertia about the frame's origin.
+        log: Which of these.
         gravity: In base axes (3,) [m/s^2].
         room: Positions and velocities, and takes the bias forces (J, 49).
         mass: Takes the mass matrix (J, J).
     """
     place(joints, shape, room)
-    weigh(links, room)
+    weigh(loads, log, room)
     forces(joints, gravity, room)
     gather(joints, room, mass)
 

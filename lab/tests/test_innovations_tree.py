@@ -38,7 +38,7 @@ def test_mass_matrix_and_bias_forces_are_those_of_mujoco(tmp_path):
         data.qpos[:] = room[:, AT] = rng.uniform(-2, 2, n)
         data.qvel[:] = room[:, MOVING] = rng.normal(0, 3, n)
         mujoco.mj_forward(machine.model, data)
-        dynamics(joints, shape, links, tree.gravity, room, mass)
+        dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
         full = np.zeros((n, n))
         mujoco.mj_fullM(machine.model, data, full)
         np.testing.assert_allclose(mass, full, atol=1e-9)
