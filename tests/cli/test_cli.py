@@ -307,7 +307,7 @@ def test_training_without_its_libraries_names_the_extra(here):
         "sys.stderr = sys.stdout\nstatus = main(['train', 'new'])\nprint(status)"
     )
     *said, status = in_a_process(code)
-    assert "in a checkout of mimic: pip install '.[train]'" in " ".join(said)
+    assert "which is not installed: pip install 'mujoco-warp==" in " ".join(said)
     assert status == "2"
     assert not (here / "new").exists()
 
