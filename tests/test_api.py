@@ -129,5 +129,6 @@ def test_a_motion_and_a_run_show_at_most_ten_short_lines(waved):
         lines = repr(thing).splitlines()
         assert 2 <= len(lines) <= 10
         assert max(map(len, lines)) <= 100
+    assert "toe error" in repr(waved)
     assert "RunLog" in repr(waved.log)
     assert f"{len(waved.log.t)} rows" in repr(waved.log)

@@ -101,7 +101,12 @@ COMMANDS = {
         "mimic export runs/video --format csv -o run.csv",
         "mimic export out -o dataset --no-video",
     ),
-    "view": ("mimic.cli.play:view", "Open the Rerun scene of a run.", "mimic view runs/video"),
+    "view": (
+        "mimic.cli.play:view",
+        "Open the Rerun scene of a run.",
+        "mimic view runs/video",
+        "mimic view runs/video --web",
+    ),
     "lead": (
         "mimic.cli.lead:lead",
         "Lead a simulated robot by the hand.",

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from mimic.cli import options as o
-from mimic.cli.console import ConsoleReporter, console, matrix, note, number, table, warn
+from mimic.cli.console import ConsoleReporter, console, matrix, note, table, warn
 from mimic.cli.exit_status import BUG, DONE, STOPPED, USER_ERROR
 from mimic.config.hardware import DriveSettings
 from mimic.flows.operator import Operator
+from mimic.records.table import number
 
 if TYPE_CHECKING:
     from rich.table import Table

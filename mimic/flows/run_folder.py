@@ -74,6 +74,12 @@ class Run(ShownAsTable):
             figures["wanted_to_reached_cm"] = wanted_to_reached(self.complete_log, targets)
         return figures
 
+    def shown(self) -> dict[str, str]:
+        """Return the figures of the run in words, by name."""
+        from mimic.metrics import metric_rows
+
+        return metric_rows(self.metrics)
+
     @property
     def shortfall(self) -> str | None:
         """What the robot did not do, as a sentence without its full stop: it never stood up, or was damped early."""
@@ -109,6 +115,10 @@ class SavedRun(ShownAsTable):
     metrics: Mapping[str, Any]
     """Figures of the run, as in metrics.json."""
     film: Path | None = None
+
+    def shown(self) -> dict[str, str]:
+        """Return the figures of the run and its folder in words, by name."""
+        return {**self.run.shown(), "run folder": str(self.folder)}
 
 
 def new_run_folder(source: Path | str, out: Path | None) -> Path:

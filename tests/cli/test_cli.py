@@ -360,7 +360,9 @@ def test_motion_from_elsewhere_becomes_a_run_like_a_video(here):
 
 def test_a_sentence_becomes_a_run_whose_key_frames_can_be_played_again(here, capsys):
     assert main(["--text", "step forward, then stop and wave the left hand", "--sim", "--no-view", *SHORT]) == 0
-    assert "grammar: 6 key frames" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "grammar: 6 key frames" in shown
+    assert shown.splitlines()[-1].split() == ["next", "mimic", "view", "runs/step-forward-then-stop-and-wave"]
     run = here / "runs" / "step-forward-then-stop-and-wave"
     assert {path.name for path in run.iterdir()} >= {"motion.yaml", "commands.parquet", "targets.parquet", "scene.rrd"}
     log = store.load(run / "log.parquet", RunLog)
