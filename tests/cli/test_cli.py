@@ -456,5 +456,5 @@ def test_ctrl_c_while_the_program_is_still_loading_is_one_line(monkeypatch, caps
 
     monkeypatch.delitem(sys.modules, "mimic.cli.app", raising=False)
     monkeypatch.setattr(sys, "meta_path", [Interrupting, *sys.meta_path])
-    assert main(["--help"]) == 3
+    assert main(["demo"]) == 3
     assert capsys.readouterr().err == "mimic: interrupted\n"
