@@ -13,7 +13,7 @@ import numpy as np
 
 from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ConfigError
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import LOG, SCRIPT
 from mimic.io import store
 from mimic.records import JOINTS, SIDES, FloatArray, RunLog
@@ -66,7 +66,7 @@ def export(
         AssetError: If there is no run at ``source``.
         ConfigError: If ``out`` exists, or the format holds one run and there are several.
     """
-    reporter = reporter or SilentReporter()
+    reporter = reporting(reporter)
     folders = _runs(source)
     if form in ENDINGS and out.suffix.lower() != ENDINGS[form]:
         raise ConfigError(f"--out is {out}; expected a file name that ends with {ENDINGS[form]} for --format {form}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from mimic.errors import ConfigError
 from mimic.flows.provenance import provenance
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.io import store
 from mimic.records import HealthLog, Provenance, RunLog
 from mimic.records.table import ShownAsTable
@@ -103,7 +103,7 @@ class Run(ShownAsTable):
             AssetError: If nothing can be written there.
         """
         store.check_writable(Path(folder))
-        return save_run(self, Path(folder), reporter or SilentReporter())
+        return save_run(self, Path(folder), reporting(reporter))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
