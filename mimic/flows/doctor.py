@@ -20,6 +20,8 @@ EXTRAS = {
     "language": ("openai",),
     "stock": ("lcm",),
     "go2": ("cyclonedds",),
+    "env": ("gymnasium",),
+    "mcap": ("mcap_ros2",),
     "ray": ("ray",),
     "c3d": ("ezc3d",),
 }
