@@ -107,9 +107,10 @@ COMMANDS = {
     ),
     "export": (
         "mimic.cli.export:export",
-        "Write a run as a LeRobot dataset, CSV or NPZ.",
+        "Write a run as a LeRobot dataset, CSV, NPZ or MCAP.",
         "mimic export runs/video -o dataset",
         "mimic export runs/video --format csv -o run.csv",
+        "mimic export runs/video --format mcap -o run.mcap",
         "mimic export out -o dataset --no-video",
     ),
     "view": (

@@ -139,7 +139,7 @@ def play(
     description = load_robot(effects.robot_model) if plant is None else plant.description
     if isinstance(commands, str | Path) and not Path(commands).exists():
         raise SourceError(f"there is no file {commands}; to play a sentence: play(motion_from_text(sentence))")
-    if isinstance(commands, str | Path | Mapping | np.ndarray):
+    if isinstance(commands, (str, Path, Mapping, np.ndarray)):
         commands = load_motion(commands, description=description, reporter=reporter)
     motion: Motion | None = None
     asked: CommandTrack | LiveCommands
