@@ -13,7 +13,6 @@ import numpy as np
 from mimic.config.play import DEFAULT_ROBOT, EffectsSettings, RunSettings
 from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.motion import Arrays, InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
-from mimic.flows.preload import PreloadingReporter
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import (
@@ -221,7 +220,7 @@ def play_source(
 
             footage = stack.enter_context(start_footage(file))
         check_playable(run, effects)
-        motion = load_source(source, settings, PreloadingReporter(reporter), load_robot(effects.robot_model))
+        motion = load_source(source, settings, reporter, load_robot(effects.robot_model))
         done = play(motion, settings=run, effects=effects, reporter=reporter)
         parts = settings_of(settings) | {"run": run, "robot": effects}
         return save_run(done, folder, reporter, settings=parts, source=file, film=film, footage=footage)
