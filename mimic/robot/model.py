@@ -75,6 +75,10 @@ def read_model(description: RobotDescription, *, floor: bool = False, checked: b
     _check_order(spec, description)
     for leg in LEGS:
         _name_leg(spec, description, leg)
+    for joint in spec.joints:
+        joint.name = joint.name.removeprefix(_MOVED)
+    for body in spec.bodies:
+        _rename_body(spec, body, body.name.removeprefix(_MOVED))
     if not spec.actuators:
         _add_motors(spec, description)
     if floor:
@@ -181,7 +185,7 @@ def _order_legs(spec: Any, description: RobotDescription) -> None:
 
 
 _MOVED = "moved/"
-"""Before the names of parts while their leg moves: two legs of one name cannot be."""
+"""Before new names while old ones are there: a model may have the name of a role for another part."""
 
 
 @cache
@@ -250,8 +254,8 @@ def _name_leg(spec: Any, description: RobotDescription, leg: str) -> None:
     for role, joint, link, axis in zip(roles, joints, links, _AXES, strict=True):
         if not np.allclose(joint.axis, axis) or np.any(joint.pos):
             raise AssetError(f"{path}: joint {joint.name!r} must turn about {axis} at the origin of its link")
-        joint.name = role
-        _rename_body(spec, link, role)
+        joint.name = _MOVED + role
+        _rename_body(spec, link, _MOVED + role)
     toe = TOES[at]
     if names.toe_site:
         own = names.of_leg(names.toe_site, leg)
