@@ -196,8 +196,13 @@ GROUPS = {
         },
     ),
     "robot": (
-        "A real robot: scan, wire, zero, check, watch, damp, probe.",
+        "A real robot: scan, wire, zero, check, watch, damp, probe; or another one: new.",
         {
+            "new": (
+                "mimic.cli.robot:new",
+                "Write the folder of another robot from its MJCF.",
+                "mimic robot new go1.xml -o robots/go1",
+            ),
             "scan": (
                 "mimic.cli.robot:scan",
                 "Find motors and IMU on the buses; nothing moves.",

@@ -384,3 +384,22 @@ def probe(
         return STOPPED
     note(f"done         {ending}")
     return DONE
+
+
+def new(mjcf: Path, /, *, out: o.RequiredOut) -> int:
+    """Write the folder of another robot from its MJCF: numbers that it does not tell are guessed, and marked so.
+
+    Parameters
+    ----------
+    mjcf
+        MJCF of a robot with four legs of three joints.
+    out
+        Folder to write; its name is the robot's.
+    """
+    from mimic.flows.new_robot import new_robot
+
+    description, guessed = new_robot(mjcf, out)
+    rows = {f"base height, {pose}": f"{100 * height:.1f} cm" for pose, height in description.pose_height.items()}
+    table(f"Robot {description.name}", rows | {"guessed": f"{guessed} numbers, marked in {out / 'robot.toml'}"})
+    note(f"next         mimic retarget VIDEO -o targets.parquet --robot-model {out}")
+    return DONE

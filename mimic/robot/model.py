@@ -59,9 +59,9 @@ def read_model(description: RobotDescription, *, floor: bool = False, checked: b
     make_room(spec)
     own = [names.of_leg(name, leg) for leg in LEGS for name in names.joints] == list(JOINTS)
     if not (own and all(a.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR for a in spec.actuators)):
-        _leave_out(spec, path)
+        leave_out(spec, path)
         _order_legs(spec, description)
-    _name_shapes(spec)
+    name_shapes(spec)
     shapes = {geom.name for geom in spec.geoms}
     missing = [shape for role in names.patterns for shape in names.shapes(role) if shape not in shapes]
     if missing:
@@ -139,14 +139,15 @@ def _found(part: Any, kind: str, name: str, path: Any) -> Any:
     return part
 
 
-def _name_shapes(spec: Any) -> None:
+def name_shapes(spec: Any) -> None:
+    """Give each collision shape without a name that of its body and its place there."""
     for body in spec.bodies:
         for place, geom in enumerate(geom for geom in body.geoms if not is_visual(geom)):
             if not geom.name:
                 geom.name = f"{body.name}#{place}"
 
 
-def _leave_out(spec: Any, path: Path) -> None:
+def leave_out(spec: Any, path: Path) -> None:
     """Remove what refers to names that change, or that mimic has of its own, and shapes whose files may be missing."""
     meshes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     parts = {
