@@ -153,7 +153,7 @@ def _derived(model: mujoco.MjModel, legs: _Legs, torque: Mapping[str, float], mj
     position = data.geom_xpos[toe] - data.xpos[front[2]]
     radius = float(model.geom_size[toe, 0])
     dof = model.jnt_dofadr[legs.joints[0]]
-    own = {
+    own: dict[str, Any] = {
         "model.file": mjcf.name,
         "model.base": model.body(legs.base).name,
         "model.legs": legs.names,
