@@ -26,9 +26,11 @@ ADDED = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
     "README.md": "index.md",
+    "assets/depth/README.md": "assets/depth.md",
     "examples/videos/README.md": "examples/videos.md",
-    "policies/sit_down.md": "policies/sit_down.md",
-    "policies/stand_track.md": "policies/stand_track.md",
+    "lab/README.md": "lab/index.md",
+    "lab/people/README.md": "lab/people.md",
+    **{f"policies/{card.name}": f"policies/{card.name}" for card in (ROOT / "policies").glob("*.md")},
     **{f"lab/results/{page.name}": f"results/{page.name}" for page in (ROOT / "lab" / "results").glob("*.md")},
 }
 """Where the site has a Markdown file from outside docs/. README.md stands for the site's own first page."""
@@ -85,6 +87,8 @@ def site_links(markdown: str, page: str) -> str:
             LOG.warning("%s links to %s, which does not exist", source, path)
             return match[0]
         target = ADDED.get(wanted, wanted.removeprefix("docs/") if wanted.startswith("docs/") else None)
+        if target is None and wanted.endswith(".md"):
+            LOG.warning("%s links to %s, which is no page of the site: add it to ADDED", source, path)
         if target is None:
             return match["text"] if match["text"].startswith("`") else f"`{match['text']}`"
         relative = posixpath.relpath(target, posixpath.dirname(page) or ".")

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from mimic.dynamics.effect_set import read_effects as read_effects
     from mimic.errors import MimicError as MimicError
     from mimic.flows.calibrate import calibrate as calibrate
+    from mimic.flows.environment import Env as Env
     from mimic.flows.evaluate import evaluate as evaluate
     from mimic.flows.machine_log import predict_log as predict_log
     from mimic.flows.machine_log import simulate_log as simulate_log
@@ -79,6 +80,7 @@ _OWNERS = {
     "mimic.dynamics.effect_set": ("EffectSet", "read_effects"),
     "mimic.errors": ("MimicError",),
     "mimic.flows.calibrate": ("calibrate",),
+    "mimic.flows.environment": ("Env",),
     "mimic.flows.machine_log": ("predict_log", "simulate_log"),
     "mimic.flows.evaluate": ("evaluate",),
     "mimic.flows.motion": (
@@ -112,7 +114,7 @@ _OWNERS = {
 
 _MODULE_OF = {name: module for module, names in _OWNERS.items() for name in names}
 
-__all__ = ["__version__", *sorted(_MODULE_OF)]
+__all__ = ["__version__", *sorted(_MODULE_OF.keys() - {"Env"})]  # Env needs the extra env: no part of import *
 
 
 def __getattr__(name: str) -> Any:

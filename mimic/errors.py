@@ -1,5 +1,7 @@
 """Exception classes, sorted by what the caller can do about them."""
 
+import re
+
 
 class MimicError(Exception):
     """Base of every error that mimic raises on purpose; its message says what to do next."""
@@ -17,10 +19,18 @@ class MissingExtra(MimicError, ImportError):
     """A library of an optional extra is not installed."""
 
     def __init__(self, library: str, extra: str) -> None:
-        self.library, self.extra = library, extra
-        super().__init__(
-            f"this needs {library}, which is not installed; in a checkout of mimic: pip install '.[{extra}]'"
-        )
+        self.library = library
+        self.extra = extra
+        super().__init__(f"this needs {library}, which is not installed: {install_line(extra)}")
+
+
+def install_line(extra: str) -> str:
+    """Return the command that installs the packages of an optional extra, also outside a checkout of mimic."""
+    from importlib.metadata import requires
+
+    marked = [line.partition(";") for line in requires("mimic-retarget") or ()]
+    wanted = [name.strip() for name, _, marker in marked if re.search(rf"extra == .{extra}\b", marker)]
+    return " ".join(["pip install", *(f"'{name}'" for name in wanted)])
 
 
 class SourceError(MimicError):

@@ -9,6 +9,7 @@ import numpy as np
 from mimic.dynamics.thermal import seconds_to_limit, winding_rise
 from mimic.geometry import heading_from_quat, quat_parts, upright_cosine, wrap_angle
 from mimic.records import JOINTS, PHASES, FloatArray, RunLog, TargetTrack
+from mimic.records.table import number
 from mimic.robot.description import RobotDescription
 
 UPRIGHT_COSINE = 0.9
@@ -153,4 +154,39 @@ def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
         "winding_rise": {name: float(rise[i]) for i, name in enumerate(JOINTS)},
         "hottest_motor": JOINTS[hottest],
         "minutes_to_limit": float(limit[hottest] / 60),
+    }
+
+
+def _lag(m: dict[str, Any]) -> str:
+    """Return how late the toes were."""
+    left = number(m["toe_error_without_lag_cm"], "{:.1f} cm")
+    return f"{number(1e3 * m['lag_s'], '{:.0f} ms')} (error with lag removed: {left})"
+
+
+def _wanted_to_reached(m: dict[str, Any]) -> dict[str, str]:
+    """Return what the person did against what the toes did, and what lies between."""
+    found = m.get("wanted_to_reached_cm")
+    if not found:
+        return {}
+    parts = ", ".join(f"{name.replace('_', ' ')} {found[name]:.1f}" for name in PARTS)
+    return {
+        "wanted → reached": f"{found['apart']:.1f} cm apart (95th percentile {found['p95']:.1f}): {parts}; "
+        f"motion {found['wanted']:.1f} → {found['reached']:.1f} cm rms"
+    }
+
+
+def metric_rows(m: dict[str, Any]) -> dict[str, str]:
+    """Return the figures of a run; a dash where there was nothing to measure."""
+    error = m["toe_error_cm"]
+    hot = m["minutes_to_limit"]
+    return _wanted_to_reached(m) | {
+        "stood up in": number(m["stand_up_s"], "{:.2f} s"),
+        "upright": number(m["standing_share"], "{:.1%} of the time after standing up"),
+        "toe error": f"{number(error['mean'], '{:.1f} cm')} mean, {number(error['p95'], '{:.1f} cm')} 95th percentile",
+        "lag": _lag(m),
+        "knee torque": f"{number(m['torque_nm']['knee_rms'], '{:.1f} N m')} rms; "
+        f"{number(m['torque_nm']['max'], '{:.1f} N m')} peak of any joint",
+        "heat": f"{m['hottest_motor']} reaches its limit after {hot:.0f} min of this"
+        if hot < 1e4
+        else "no motor above its continuous rating",
     }

@@ -83,6 +83,13 @@ def test_a_file_is_played_by_its_name(waved):
     assert waved.metrics["toe_error_cm"]["mean"] < 5.0
 
 
+def test_arrays_of_a_file_are_the_file():
+    with np.load(CLIP) as file:
+        arrays = dict(file)
+    loaded = mimic.load_motion(CLIP).commands
+    assert np.array_equal(mimic.load_motion(arrays).commands.p_BE, loaded.p_BE)
+
+
 def test_a_saved_run_is_read_again_with_its_figures(waved, tmp_path):
     waved.save(tmp_path / "run")
     found = mimic.load_run(tmp_path / "run")
@@ -115,6 +122,12 @@ def test_one_group_of_settings_or_single_ones_do():
         (lambda: mimic.load_motion(CLIP, raet=0.2), "there is no setting 'raet'; settings are .*rate"),
         (lambda: mimic.load_motion(CLIP, rate=5.0), "rate is 5 s; it must be from 0.05 to 1 s"),
         (lambda: mimic.load_motion(CLIP, mimic.RunSettings()), "settings is a RunSettings; expected InputSettings"),
+        (lambda: mimic.load_motion(CLIP, reporter=True), "reporter is True; expected an object with note, warn"),
+        (lambda: mimic.load_motion(["a", "b"]), "load_motion is given a list; expected a file, or arrays"),
+        (lambda: mimic.load_motion(np.zeros((50, 2, 3))), r"toes is played as CommandTrack\(t=t"),
+        (lambda: mimic.load_motion({"t": np.arange(9)}), r"holds t; expected an array 'points' \(T, N, 3\)"),
+        (lambda: mimic.retarget(np.zeros((50, 2, 3))), "given a ndarray; expected a PoseTrack or a WristTrack"),
+        (lambda: mimic.play(5), "given is a int; expected a file, arrays as in an .npz, a Motion"),
         (lambda: mimic.play("wave the left hand"), r"to play a sentence: play\(motion_from_text"),
         (lambda: mimic.play(CLIP, settings=mimic.RetargetSettings()), r"play\(load_motion\(source, settings\)\)"),
     ],
@@ -129,5 +142,6 @@ def test_a_motion_and_a_run_show_at_most_ten_short_lines(waved):
         lines = repr(thing).splitlines()
         assert 2 <= len(lines) <= 10
         assert max(map(len, lines)) <= 100
+    assert "toe error" in repr(waved)
     assert "RunLog" in repr(waved.log)
     assert f"{len(waved.log.t)} rows" in repr(waved.log)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import os
 import sys
@@ -36,7 +35,19 @@ MUJOCO_GL = {"", "egl", "osmesa", "glfw"}
 MUJOCO_GL |= {"disable", "disabled", "off", "false", "0", "enable", "enabled", "on", "true", "1"}
 """Values of the environment variable MUJOCO_GL that MuJoCo understands."""
 
-DEFAULTS = Parameter(negative_iterable=(), negative_none=(), consume_multiple=True, show_env_var=False)
+
+def _as_typed(default: Any) -> str | None:
+    """Return a default as it would be typed, numbers with at most four digits; None where the help shows none."""
+    if default is None or default is False or default == ():
+        return None
+    if isinstance(default, tuple):
+        return " ".join(map(str, default))
+    return f"{default:.4g}" if isinstance(default, float) else "yes" if default is True else str(default)
+
+
+DEFAULTS = Parameter(
+    negative_iterable=(), negative_none=(), consume_multiple=True, show_env_var=False, show_default=_as_typed
+)
 
 
 class _Flowing:
@@ -96,12 +107,18 @@ COMMANDS = {
     ),
     "export": (
         "mimic.cli.export:export",
-        "Write a run as a LeRobot dataset, CSV or NPZ.",
+        "Write a run as a LeRobot dataset, CSV, NPZ or MCAP.",
         "mimic export runs/video -o dataset",
         "mimic export runs/video --format csv -o run.csv",
+        "mimic export runs/video --format mcap -o run.mcap",
         "mimic export out -o dataset --no-video",
     ),
-    "view": ("mimic.cli.play:view", "Open the Rerun scene of a run.", "mimic view runs/video"),
+    "view": (
+        "mimic.cli.play:view",
+        "Open the Rerun scene of a run.",
+        "mimic view runs/video",
+        "mimic view runs/video --web",
+    ),
     "lead": (
         "mimic.cli.lead:lead",
         "Lead a simulated robot by the hand.",
@@ -179,8 +196,13 @@ GROUPS = {
         },
     ),
     "robot": (
-        "A real robot: scan, wire, zero, check, watch, damp, probe.",
+        "A real robot: scan, wire, zero, check, watch, damp, probe; or another one: new.",
         {
+            "new": (
+                "mimic.cli.robot:new",
+                "Write the folder of another robot from its MJCF.",
+                "mimic robot new go1.xml -o robots/go1",
+            ),
             "scan": (
                 "mimic.cli.robot:scan",
                 "Find motors and IMU on the buses; nothing moves.",
@@ -238,9 +260,6 @@ for _name, (_purpose, _commands) in GROUPS.items():
 
 def run(arguments: list[str]) -> int:
     """Parse the arguments, run the command and return the exit status."""
-    for stream in (sys.stdout, sys.stderr):  # what a terminal cannot show becomes a question mark
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
     try:
         arguments = _with_config(arguments)
@@ -250,9 +269,6 @@ def run(arguments: list[str]) -> int:
             from mimic.cli.play import play
 
             app.default(play)
-        if arguments in ([], ["--help"], ["-h"]):
-            app.help_print([])  # without parsing first, which would take another 0.1 s
-            return DONE
         result = app(arguments, exit_on_error=False, print_error=False)
     except MimicError as error:
         return _failed(error)

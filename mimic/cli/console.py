@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -45,7 +44,7 @@ class ConsoleReporter:
     def progress(self, what: str) -> Iterator[Steps]:
         """Yield a function that shows the steps done and their total as a bar."""
         if not console.is_terminal:
-            with _lines() as put:
+            with _lines(what) as put:
                 yield lambda done, total=None: put(f"{what}: {done} of {total}" if total else f"{what}: {done}")
             return
         columns = (
@@ -67,7 +66,7 @@ class ConsoleReporter:
             return f"{text}, {count} {unit} so far" if count else text
 
         if not console.is_terminal:
-            with _lines() as put:
+            with _lines("working") as put:
                 yield lambda text, count: put(line(text, count))
             return
         columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
@@ -77,15 +76,14 @@ class ConsoleReporter:
 
 
 @contextmanager
-def _lines() -> Iterator[Callable[[str], None]]:
-    """Yield a function that takes many lines; the newest is printed now and then."""
-    newest: list[str] = []
+def _lines(begun: str) -> Iterator[Callable[[str], None]]:
+    """Yield a function that takes many lines; the newest, at first what is begun, is printed now and then."""
+    newest = [begun]
     began, over = time.monotonic(), threading.Event()
 
     def show() -> None:
         while not over.wait(LINE_INTERVAL):
-            if newest:
-                note(f"{time.monotonic() - began:6.0f} s  {newest[-1]}")
+            note(f"{time.monotonic() - began:6.0f} s  {newest[-1]}")
 
     def put(text: str) -> None:
         newest[:] = [text]
@@ -107,11 +105,6 @@ def note(text: str) -> None:
 def warn(text: str) -> None:
     """Print a warning."""
     console.print("note: " + text, style="yellow", soft_wrap=True, markup=False)
-
-
-def number(value: float, form: str) -> str:
-    """Return a number in a format such as "{:.1f} cm", and a dash where it is not finite."""
-    return form.format(value) if math.isfinite(value) else "–"
 
 
 def table(title: str, rows: Mapping[str, str]) -> None:

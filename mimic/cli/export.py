@@ -16,7 +16,7 @@ def export(
     /,
     *,
     out: o.RequiredOut,
-    form: Annotated[Literal["lerobot", "csv", "npz", "mjlab", "gmr"], Parameter(name="--format")] = "lerobot",
+    form: Annotated[Literal["lerobot", "csv", "npz", "mjlab", "gmr", "mcap"], Parameter(name="--format")] = "lerobot",
     video: bool = True,
 ) -> int:
     """Write a run, or all runs of a batch, in the format of another program.
@@ -26,10 +26,11 @@ def export(
     run
         Folder of a run, or of a batch; each run of a batch becomes an episode.
     out
-        Folder of the dataset, or file (.csv; .npz for npz and mjlab; .pkl for gmr).
+        Folder of the dataset, or file (.csv; .npz for npz and mjlab; .pkl for gmr; .mcap).
     form
         lerobot: a LeRobotDataset v3 with state, action and video; csv, npz: every column of the log;
-        mjlab, gmr: joints and base as a motion file of these programs.
+        mjlab, gmr: joints and base as a motion file of these programs; mcap: joints, links and targets as messages of
+        ROS 2.
     video
         Add a film of the robot, one frame for each row (lerobot).
     """

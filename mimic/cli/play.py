@@ -232,13 +232,15 @@ def retarget(
     return DONE
 
 
-def view(run: Path, /) -> int:
+def view(run: Path, /, *, web: Annotated[bool, o.Flag] = False) -> int:
     """Open the Rerun scene of a run folder; without a display, serve it to a browser on this computer.
 
     Parameters
     ----------
     run
         Run folder, or its scene.rrd.
+    web
+        Serve it to a browser also where there is a display.
     """
     from mimic.flows.run_folder import SCENE
     from mimic.view.scene.viewer import display_available, open_viewer, serve_scene
@@ -246,12 +248,12 @@ def view(run: Path, /) -> int:
     scene = run / SCENE if run.is_dir() else run
     if not scene.is_file():
         raise AssetError(f"there is no {SCENE} in {run}; expected the folder of a run")
-    if display_available():
+    if not web and display_available():
         open_viewer(scene)
         return DONE
     from mimic.cli.console import note
 
-    note("there is no display here; Ctrl-C ends the server for a browser on this computer:")
+    note("open this in a browser on this computer; Ctrl-C ends the server:")
     with suppress(KeyboardInterrupt):
         serve_scene(scene, note)
     return DONE

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from mimic.cli import options as o
-from mimic.cli.console import ConsoleReporter, console, matrix, note, number, table, warn
+from mimic.cli.console import ConsoleReporter, console, matrix, note, table, warn
 from mimic.cli.exit_status import BUG, DONE, STOPPED, USER_ERROR
 from mimic.config.hardware import DriveSettings
 from mimic.flows.operator import Operator
+from mimic.records.table import number
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -382,4 +383,23 @@ def probe(
         warn(f"stopped: {result.ended.text}; {ending}")
         return STOPPED
     note(f"done         {ending}")
+    return DONE
+
+
+def new(mjcf: Path, /, *, out: o.RequiredOut) -> int:
+    """Write the folder of another robot from its MJCF: numbers that it does not tell are guessed, and marked so.
+
+    Parameters
+    ----------
+    mjcf
+        MJCF of a robot with four legs of three joints.
+    out
+        Folder to write; its name is the robot's.
+    """
+    from mimic.flows.new_robot import new_robot
+
+    description, guessed = new_robot(mjcf, out)
+    rows = {f"base height, {pose}": f"{100 * height:.1f} cm" for pose, height in description.pose_height.items()}
+    table(f"Robot {description.name}", rows | {"guessed": f"{guessed} numbers, marked in {out / 'robot.toml'}"})
+    note(f"next         mimic retarget VIDEO -o targets.parquet --robot-model {out}")
     return DONE

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mimic.cli.console import number, table, warn
+from mimic.cli.console import note, table, warn
 from mimic.cli.exit_status import DONE, STOPPED
-from mimic.metrics import PARTS
+from mimic.metrics import metric_rows
+from mimic.records.table import number
 
 if TYPE_CHECKING:
     from mimic.flows.run_folder import SavedRun
@@ -38,41 +40,6 @@ def target_rows(targets: TargetTrack | None) -> dict[str, str]:
     return rows
 
 
-def _lag(m: dict[str, Any]) -> str:
-    """Return how late the toes were."""
-    left = number(m["toe_error_without_lag_cm"], "{:.1f} cm")
-    return f"{number(1e3 * m['lag_s'], '{:.0f} ms')} (error with lag removed: {left})"
-
-
-def _wanted_to_reached(m: dict[str, Any]) -> dict[str, str]:
-    """Return what the person did against what the toes did, and what lies between."""
-    found = m.get("wanted_to_reached_cm")
-    if not found:
-        return {}
-    parts = ", ".join(f"{name.replace('_', ' ')} {found[name]:.1f}" for name in PARTS)
-    return {
-        "wanted → reached": f"{found['apart']:.1f} cm apart (95th percentile {found['p95']:.1f}): {parts}; "
-        f"motion {found['wanted']:.1f} → {found['reached']:.1f} cm rms"
-    }
-
-
-def metric_rows(m: dict[str, Any]) -> dict[str, str]:
-    """Return the figures of a run; a dash where there was nothing to measure."""
-    error = m["toe_error_cm"]
-    hot = m["minutes_to_limit"]
-    return _wanted_to_reached(m) | {
-        "stood up in": number(m["stand_up_s"], "{:.2f} s"),
-        "upright": number(m["standing_share"], "{:.1%} of the time after standing up"),
-        "toe error": f"{number(error['mean'], '{:.1f} cm')} mean, {number(error['p95'], '{:.1f} cm')} 95th percentile",
-        "lag": _lag(m),
-        "knee torque": f"{number(m['torque_nm']['knee_rms'], '{:.1f} N m')} rms; "
-        f"{number(m['torque_nm']['max'], '{:.1f} N m')} peak of any joint",
-        "heat": f"{m['hottest_motor']} reaches its limit after {hot:.0f} min of this"
-        if hot < 1e4
-        else "no motor above its continuous rating",
-    }
-
-
 def show_simulated(saved: SavedRun, title: str, view: bool | None, rows: dict[str, str] | None = None) -> int:
     """Print the figures of a simulated run, open its scene, and return the exit status."""
     show_figures(saved, title, rows)
@@ -96,9 +63,12 @@ def show_figures(
 
 
 def open_scene(folder: Path, view: bool | None) -> None:
-    """Open the scene of a run folder if asked for, or by default where there is a display."""
+    """Open the scene of a run folder if asked for, or by default where there is a display; say what to do next."""
     from mimic.flows.run_folder import SCENE
     from mimic.view.scene.viewer import display_available, open_viewer
 
-    if view or (view is None and display_available()):
-        open_viewer(folder / SCENE)
+    wanted = display_available() if view is None else view
+    if wanted and open_viewer(folder / SCENE):
+        note("next         look at the run in the Rerun window")
+    else:
+        note(f"next         mimic view {shlex.quote(str(folder))}")

@@ -19,7 +19,7 @@ from mimic.control.signals import Signals
 from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.geometry import turned_about_up
-from mimic.policy.contract import FRONT, ObservationBuilder, joint_command
+from mimic.policy.contract import FRONT, ObservationBuilder, PolicyContract, joint_command
 from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, PHASES, Command, FloatArray, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.arm_torques import ArmTorques
@@ -49,6 +49,21 @@ class Safety:
     """Whether the last command is held until something ends the run."""
     damp_at_end: bool = True
     """Whether a run that went well ends by damping the robot until it rests."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Asked:
+    """What is asked of a policy in one control step, and what it sees."""
+
+    phase: int
+    """Index into PHASES."""
+    command: Command
+    """Within the robot's limits; its heading is in the world."""
+    clamped: int
+    """Numbers of it that were beyond them."""
+    arms: ArmGoal | None
+    observation: FloatArray
+    """Observation (observation_size,)."""
 
 
 def observation_width(*policies: Policy | None) -> int:
@@ -117,9 +132,17 @@ class Run:
             desired: What is asked for; its heading is in the world.
             arms: Where the front legs should be; None leaves them to the policy.
         """
-        contract = policy.contract
+        asked = self.ask(builder, phase, desired, arms)
+        if asked is not None:
+            self.act(asked, policy.contract, builder, policy.act(asked.observation))
+
+    def ask(
+        self, builder: ObservationBuilder, phase: int, desired: Command, arms: ArmGoal | None = None
+    ) -> Asked | None:
+        """Return what a policy sees of the newest state; None, and damp the robot, where a target is no number."""
         if not np.isfinite(np.concatenate([desired.v, [desired.heading], np.ravel(desired.p_BE)])).all():
-            return self.decide(FAILURE, SafetyMode.DAMP, "a target is not a number")
+            self.decide(FAILURE, SafetyMode.DAMP, "a target is not a number")
+            return None
         v_des, p_BE_des, clamped = clamp_desired(desired.v, desired.p_BE, self.plant.description)
         observation = builder.observe(
             q=self.sensed.q,
@@ -131,10 +154,15 @@ class Run:
             dq=self.sensed.dq,
             arms=None if arms is None else arms.seen,
         )
-        action = policy.act(observation)
+        command = Command(v=v_des, heading=desired.heading, p_BE=p_BE_des)
+        return Asked(phase=phase, command=command, clamped=clamped, arms=arms, observation=observation)
+
+    def act(self, asked: Asked, contract: PolicyContract, builder: ObservationBuilder, action: FloatArray) -> None:
+        """Send what a policy answered (12,), for one control step."""
         if not np.isfinite(action).all():
             return self.decide(FAILURE, SafetyMode.DAMP, "the policy returned something that is not a number")
         builder.acted(action)
+        arms = asked.arms
         q_des = joint_command(contract, action)
         dq_des = np.zeros(12)
         tau_ff = np.zeros(12)
@@ -152,11 +180,11 @@ class Run:
             tau_ff=tau_ff,
             ramp=contract.dt if contract.interpolate else 0.0,
         )
-        clamped += int(np.count_nonzero(np.abs(own) > contract.action_clip))
-        asked = {"v_des": v_des, "heading_des": desired.heading, "p_BE_des": p_BE_des}
+        clamped = asked.clamped + int(np.count_nonzero(np.abs(own) > contract.action_clip))
+        wanted = {"v_des": asked.command.v, "heading_des": asked.command.heading, "p_BE_des": asked.command.p_BE}
         seen = np.full(self._width, np.nan)
-        seen[: len(observation)] = observation
-        self._step(command, phase, clamped, **asked, observation=seen, action=action)
+        seen[: len(asked.observation)] = asked.observation
+        self._step(command, asked.phase, clamped, **wanted, observation=seen, action=action)
 
     def _given(self, wanted: FloatArray) -> FloatArray:
         """Return torques of the front legs (6,) [N m] that the motors give; say once where more is wanted."""

@@ -28,7 +28,7 @@ import numpy as np
 from mimic.dynamics.ground_contacts import GroundFacts
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.metrics import uprightness
-from mimic.records import LEGS, BoolArray, FloatArray, RunLog
+from mimic.records import LEGS, BoolArray, FloatArray, IntArray, RunLog
 from mimic.robot.description import RobotDescription
 
 STEPS = 1000
@@ -115,14 +115,17 @@ def terms(log: RunLog, ground: GroundFacts, description: RobotDescription) -> di
     step = np.arange(1, len(log.t))
     early = step <= GRACE_STEPS
     q, dq = log.q[1:], log.dq[1:]
-    z = log.p_WB[1:, 2] * (STANDING_HEIGHT / description.training.rise_to)  # as if it were as large as a CyberDog 2
-    up = uprightness(log.quat_WB[1:], description)
-    heading = heading_from_quat(log.quat_WB[1:])
-    standing = _ramp(z, 0.25, 0.35) * (up > 0.9)
-    velocity = velocity_error(log)
-    turn = wrap_angle(log.heading_des[:-1] - heading)
-    toes = np.square(log.p_BE[1:] - log.p_BE_des[:-1]).sum((-1, -2))
-    toes_count = (z > 0.37) & (up > 0.2) & (step > STAND_STEPS)
+    tracked = tracking(
+        p_WB=log.p_WB[1:],
+        v_WB=log.v_WB[1:],
+        quat_WB=log.quat_WB[1:],
+        p_BE=log.p_BE[1:],
+        v_des=log.v_des[:-1],
+        heading_des=log.heading_des[:-1],
+        p_BE_des=log.p_BE_des[:-1],
+        step=step,
+        description=description,
+    )
     planted = ground.toe_height[1:] < 0.03
     sliding = np.square(ground.toe_velocity[1:]).sum(-1) + np.square(ground.toe_yaw_rate[1:] / np.pi)
     touching = {part: rows[1:] for part, rows in ground.touching.items()}
@@ -132,12 +135,8 @@ def terms(log: RunLog, ground: GroundFacts, description: RobotDescription) -> di
     change = np.diff(log.q_des, axis=0, prepend=log.q_des[:1])[:-1] / ACTION_UNIT
     acceleration = np.diff(log.dq, axis=0) / description.dt
     return {
-        "velocity": np.exp(-np.square(velocity).sum(-1) / 0.05) * standing,
-        "heading": np.exp(-np.square(turn / np.pi) / 0.05) * standing,
-        "toes": np.exp(-toes / 0.02) * toes_count,
-        "height": _ramp(z, 0.15, STANDING_HEIGHT),
+        **tracked,
         "slip": (planted * sliding).sum(-1),
-        "upright": np.square((1 + up) / 2),
         "collision": np.sum([touching[part] for part in COLLIDING], axis=0) * ~early,
         "rear_air": ~feet.any(-1) + (calves & ~feet).sum(-1),
         "action_rate": np.square(change).sum(-1),
@@ -150,12 +149,60 @@ def terms(log: RunLog, ground: GroundFacts, description: RobotDescription) -> di
     }
 
 
+def tracking(
+    *,
+    p_WB: FloatArray,
+    v_WB: FloatArray,
+    quat_WB: FloatArray,
+    p_BE: FloatArray,
+    v_des: FloatArray,
+    heading_des: FloatArray,
+    p_BE_des: FloatArray,
+    step: IntArray,
+    description: RobotDescription,
+) -> dict[str, FloatArray]:
+    """Return the unweighted terms that need no contacts (...,): velocity, heading, toes, height, upright.
+
+    Args:
+        p_WB: Position of the base (..., 3) [m].
+        v_WB: Its velocity, world axes (..., 3) [m/s].
+        quat_WB: Its orientation (..., 4), wxyz.
+        p_BE: Base -> front toe (..., 2, 3) [m].
+        v_des: Velocity asked for in the heading frame (..., 2) [m/s].
+        heading_des: Heading asked for, world (...,) [rad].
+        p_BE_des: Toes asked for (..., 2, 3) [m].
+        step: Control steps since the policy began (...,).
+        description: The robot.
+    """
+    z = p_WB[..., 2] * (STANDING_HEIGHT / description.training.rise_to)  # as if it were as large as a CyberDog 2
+    up = uprightness(quat_WB, description)
+    standing = _ramp(z, 0.25, 0.35) * (up > 0.9)
+    velocity = in_heading_frame(v_WB, quat_WB) - v_des
+    turn = wrap_angle(heading_des - heading_from_quat(quat_WB))
+    toes = np.square(p_BE - p_BE_des).sum((-1, -2))
+    toes_count = (z > 0.37) & (up > 0.2) & (step > STAND_STEPS)
+    return {
+        "velocity": np.exp(-np.square(velocity).sum(-1) / 0.05) * standing,
+        "heading": np.exp(-np.square(turn / np.pi) / 0.05) * standing,
+        "toes": np.exp(-toes / 0.02) * toes_count,
+        "height": _ramp(z, 0.15, STANDING_HEIGHT),
+        "upright": np.square((1 + up) / 2),
+    }
+
+
+def in_heading_frame(v_WB: FloatArray, quat_WB: FloatArray) -> FloatArray:
+    """Return the velocity of the base forward and left (..., 2) [m/s]."""
+    heading = heading_from_quat(quat_WB)
+    cosine = np.cos(heading)
+    sine = np.sin(heading)
+    vx = v_WB[..., 0]
+    vy = v_WB[..., 1]
+    return np.stack([cosine * vx + sine * vy, cosine * vy - sine * vx], -1)
+
+
 def velocity_error(log: RunLog) -> FloatArray:
     """Return measured - desired base velocity in the heading frame for each step (ticks - 1, 2) [m/s]."""
-    heading = heading_from_quat(log.quat_WB[1:])
-    cosine, sine = np.cos(heading), np.sin(heading)
-    vx, vy = log.v_WB[1:, 0], log.v_WB[1:, 1]
-    return np.stack([cosine * vx + sine * vy, cosine * vy - sine * vx], -1) - log.v_des[:-1]
+    return in_heading_frame(log.v_WB[1:], log.quat_WB[1:]) - log.v_des[:-1]
 
 
 def foot_shift(log: RunLog, ground: GroundFacts, description: RobotDescription) -> FloatArray:

@@ -20,7 +20,7 @@ from mimic.errors import ConfigError, MimicError, SourceError
 from mimic.flows.motion import InputSettings, load_motion, playable, refuse_second_video
 from mimic.flows.play import load_robot, play, settings_of, shipped_sit_down
 from mimic.flows.provenance import COMMAND, provenance
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, SilentReporter, reporting
 from mimic.flows.run_folder import METRICS, TARGETS, save_logs
 from mimic.io import store
 from mimic.version import __version__
@@ -125,7 +125,7 @@ def batch(
         ConfigError, AssetError, ContractError: If folder, policy or effects cannot be used.
     """
     settings, run, effects = settings or InputSettings(), run or RunSettings(), effects or EffectsSettings()
-    reporter = reporter or SilentReporter()
+    reporter = reporting(reporter)
     refuse_second_video(settings, "a folder has many: play its pairs one by one")
     if not folder.is_dir():
         raise SourceError(f"{folder} is not a folder; to play a single file: mimic {folder} --sim")

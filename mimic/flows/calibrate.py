@@ -13,7 +13,7 @@ from mimic.config.text_file import from_json
 from mimic.errors import AssetError, CalibrationError, ConfigError
 from mimic.flows.play import load_robot
 from mimic.flows.provenance import COMMAND, provenance
-from mimic.flows.reporter import Activity, Reporter, SilentReporter
+from mimic.flows.reporter import Activity, Reporter, reporting
 from mimic.io import store
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def calibrate(
     from mimic.sysid.calibrate import check_names
     from mimic.sysid.log.pool import refuse_contradictions
 
-    settings, reporter = settings or CalibrateSettings(), reporter or SilentReporter()
+    settings, reporter = settings or CalibrateSettings(), reporting(reporter)
     if out is not None:
         if out.exists() and not out.is_dir():
             raise ConfigError(f"{out} is a file; name a folder with --out")

@@ -16,7 +16,7 @@ from mimic.config.pose import LiveSettings
 from mimic.flows.camera_record import CameraRecord
 from mimic.flows.motion import InputSettings, fetch_pose_model, refuse_second_video
 from mimic.flows.play import load_robot, play, warn_of_stand_effects
-from mimic.flows.reporter import Activity, Reporter, SilentReporter
+from mimic.flows.reporter import Activity, Reporter, reporting
 from mimic.flows.run_folder import SavedRun, new_run_folder, save_run
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def follow_camera(
     from mimic.sources.video.camera import check_camera, open_camera
 
     refuse_second_video(settings, "a camera is followed by itself")
-    fetch_pose_model(settings.pose, reporter or SilentReporter(), partial(check_camera, camera))
+    fetch_pose_model(settings.pose, reporting(reporter), partial(check_camera, camera))
     record = CameraRecord(settings)
     retarget = LiveRetarget(Reach(description), settings.retarget, live)
     with open_camera(camera, settings.pose, live, previews=view is not None, low_priority=low_priority) as stream:
@@ -77,7 +77,7 @@ def follow_camera(
             target=_follow, args=(stream, retarget, targets, record, view, zero), name="follow", daemon=True
         )
         thread.start()
-        with (reporter or SilentReporter()).activity("frames") as show:
+        with (reporting(reporter)).activity("frames") as show:
             over = threading.Event()
             shown = threading.Thread(target=_show_latency, args=(record, show, over), daemon=True)
             shown.start()
@@ -152,7 +152,7 @@ def play_camera(
     from mimic.simulation.plant import SimulatedPlant, plant_options
 
     settings, live, run = settings or InputSettings(), live or LiveSettings(), run or RunSettings()
-    effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
+    effects, reporter = effects or EffectsSettings(), reporting(reporter)
     folder = new_run_folder(camera_name(camera), out)
     warn_of_stand_effects(effects, reporter)
     description = load_robot(effects.robot_model)

@@ -11,7 +11,7 @@ from mimic.config.hardware import DriveSettings, LookSettings, ProbeSettings, Wi
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.operator import Operator, undisturbed
 from mimic.flows.play import load_robot, robot_on
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import LOG
 from mimic.io import store
 from mimic.records import FloatArray, RunLog
@@ -186,7 +186,7 @@ def probe_robot(
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
     settings, bus = settings or ProbeSettings(), bus or DriveSettings()
-    operator, reporter = operator or Operator(), reporter or SilentReporter()
+    operator, reporter = operator or Operator(), reporting(reporter)
     store.check_writable(out.parent)
     description, signals = load_robot(robot_on(bus_url)), Signals()
     if motion is None:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from mimic.errors import MimicError
+from mimic.errors import MimicError, install_line
 from mimic.version import __version__
 
 EXTRAS = {
@@ -20,6 +20,8 @@ EXTRAS = {
     "language": ("openai",),
     "stock": ("lcm",),
     "go2": ("cyclonedds",),
+    "env": ("gymnasium",),
+    "mcap": ("mcap_ros2",),
     "ray": ("ray",),
     "c3d": ("ezc3d",),
 }
@@ -55,7 +57,7 @@ def examine() -> Iterator[Finding]:
     for extra, modules in EXTRAS.items():
         missing = [module for module in modules if importlib.util.find_spec(module) is None]
         text = f"without {', '.join(missing)}" if missing else "installed"
-        yield Finding(name=f"extra {extra}", ok=not missing, text=text, fix=f"pip install '.[{extra}]'" * bool(missing))
+        yield Finding(name=f"extra {extra}", ok=not missing, text=text, fix=install_line(extra) * bool(missing))
 
 
 def _libraries() -> Finding:

@@ -25,7 +25,7 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
 from mimic.errors import ConfigError
 from mimic.flows.play import load_robot, warn_of_stand_effects
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.go2.dds_bus import DdsBus
 from mimic.hardware.go2.dds_bus import check_network as check_go2_network
@@ -114,7 +114,7 @@ def serve_robot(
         BusError, MissingExtra: If its network cannot be opened.
     """
     options, settings = options or ServeOptions(), settings or EmulateSettings()
-    effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
+    effects, reporter = effects or EffectsSettings(), reporting(reporter)
     emulated, faults, listen = (_on_can if options.board is None else _board)(options, settings, effects, reporter)
     shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
     with real_time(EMULATOR, inherited=True):  # also for the threads in which a network receives

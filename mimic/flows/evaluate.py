@@ -19,7 +19,7 @@ from mimic.config.evaluation import (
 from mimic.config.play import DEFAULT_ROBOT
 from mimic.flows.play import load_policy, load_robot, warn_of_stand_effects
 from mimic.flows.provenance import provenance
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.io import store
 
 KINDS: dict[str, tuple[type[EpisodeSettings], str]] = {
@@ -63,7 +63,7 @@ def evaluate(
     from mimic.policy.runtime import find_policy
     from mimic.simulation.plant import plant_options
 
-    reporter = reporter or SilentReporter()
+    reporter = reporting(reporter)
     description = load_robot(DEFAULT_ROBOT if settings is None else settings.robot.robot_model)
     path = find_policy("stand_track" if policy is None else policy, description.name)
     settings = settings or KINDS[load_policy(path, description).contract.task][0]()  # type: ignore[call-arg]

@@ -13,7 +13,7 @@ import numpy as np
 
 from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ConfigError
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import LOG, SCRIPT
 from mimic.io import store
 from mimic.records import JOINTS, SIDES, FloatArray, RunLog
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mimic.io.lerobot import Episode
+    from mimic.io.mcap_file import RosRun
 
-Format = Literal["lerobot", "csv", "npz", "mjlab", "gmr"]
-ENDINGS = {"csv": ".csv", "npz": ".npz", "mjlab": ".npz", "gmr": ".pkl"}
+Format = Literal["lerobot", "csv", "npz", "mjlab", "gmr", "mcap"]
+ENDINGS = {"csv": ".csv", "npz": ".npz", "mjlab": ".npz", "gmr": ".pkl", "mcap": ".mcap"}
 """Ending of the file of each format that is a file."""
 FILES = (*ENDINGS.values(), ".parquet", ".zip", ".mp4")
 """Endings that no folder should have."""
@@ -56,9 +57,9 @@ def export(
 
     Args:
         source: Folder of a run, or of a batch (each of its runs becomes an episode; lerobot only).
-        out: Folder of the dataset, or file (.csv, .npz, .pkl).
-        form: lerobot (LeRobotDataset v3), csv or npz (every column of the log), mjlab (motion file, .npz) or gmr
-            (motion file, .pkl).
+        out: Folder of the dataset, or file (.csv, .npz, .pkl, .mcap).
+        form: lerobot (LeRobotDataset v3), csv or npz (every column of the log), mjlab (motion file, .npz), gmr
+            (motion file, .pkl) or mcap (ROS 2 messages).
         video: Whether a dataset has a film of the robot, one frame for each row.
         reporter: Receives progress.
 
@@ -66,7 +67,7 @@ def export(
         AssetError: If there is no run at ``source``.
         ConfigError: If ``out`` exists, or the format holds one run and there are several.
     """
-    reporter = reporter or SilentReporter()
+    reporter = reporting(reporter)
     folders = _runs(source)
     if form in ENDINGS and out.suffix.lower() != ENDINGS[form]:
         raise ConfigError(f"--out is {out}; expected a file name that ends with {ENDINGS[form]} for --format {form}")
@@ -83,6 +84,12 @@ def export(
             f"{source} holds {len(folders)} runs, and a {form} file one; use --format lerobot, or one run"
         )
     log = store.load(folders[0] / LOG, RunLog)
+    if form == "mcap":
+        from mimic.io.mcap_file import write_mcap
+
+        with store.written_whole(out) as part:
+            write_mcap(part, _messages(log))
+        return 1
     content = _motion(log, form, folders[0]) if form in ("mjlab", "gmr") else _columns(log)
     with store.written_whole(out) as part:
         if form == "csv":
@@ -116,6 +123,32 @@ def _motion(log: RunLog, form: Format, folder: Path) -> dict[str, Any]:
     if not all(np.isfinite(values).all() for values in (log.q, log.quat_WB, log.p_WB)):
         raise AssetError(f"{folder / LOG} lacks joint positions or orientations; a motion has no gaps")
     return (mjlab_motion if form == "mjlab" else gmr_motion)(log, ticks, fps, description)
+
+
+def _messages(log: RunLog) -> RosRun:
+    """Return what of a run becomes ROS messages: joints and links by their roles."""
+    from mimic.control.dropouts import fill_dropouts
+    from mimic.dynamics.robot_model import load_model
+    from mimic.io.mcap_file import RosRun
+    from mimic.robot.description import load_description
+    from mimic.view.scene.robot_shapes import body_poses, qpos_at_ticks
+
+    description = load_description(str(log.metadata.get("robot", DEFAULT_ROBOT)))
+    model = load_model(description)
+    filled = fill_dropouts(log, description)
+    position, quat = body_poses(model, qpos_at_ticks(filled, model))
+    links = [model.body(body).name for body in range(model.nbody)]
+    return RosRun(
+        t=log.t,
+        joints=JOINTS,
+        q=log.q,
+        dq=log.dq,
+        tau=log.tau,
+        q_des=log.q_des,
+        frames={name: (position[:, body], quat[:, body]) for body, name in enumerate(links) if body},
+        points={f"/{side}_toe_target": log.p_BE_des[:, i] for i, side in enumerate(SIDES)},
+        base=links[1],
+    )
 
 
 def _rate(log: RunLog, folder: Path) -> int:

@@ -13,7 +13,7 @@ from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.config.play import AS_DESCRIBED, EffectsSettings
 from mimic.errors import MimicError
 from mimic.flows.play import load_robot, warn_of_stand_effects
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.io import store
 from mimic.records import RunLog
 
@@ -72,7 +72,7 @@ def lead(
     from mimic.simulation.hand import Hand
     from mimic.simulation.plant import SimulatedPlant, plant_options
 
-    reporter, hand, leading = reporter or SilentReporter(), hand or HandSettings(), leading or LeadingSettings()
+    reporter, hand, leading = reporting(reporter), hand or HandSettings(), leading or LeadingSettings()
     warn_of_stand_effects(robot, reporter)
     description = load_robot(robot.robot_model)
     player = load_policy(policy, description)

@@ -12,7 +12,7 @@ from mimic.errors import ConfigError
 from mimic.flows.calibrate import checked_log, left_out, machine_of
 from mimic.flows.play import load_robot
 from mimic.flows.provenance import provenance
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.io import store
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def predict_log(
         raise ConfigError(f"--effects names a file twice: {', '.join(map(str, effects))}")
     if out is not None:
         store.check_writable(out.parent)
-    with (reporter or SilentReporter()).activity("replays") as show:
+    with (reporting(reporter)).activity("replays") as show:
         show("reading the log", 0)
         sets = {NO_EFFECTS: EffectSet(), **{str(file): read_effects(file) for file in effects}}
         check, machine, warnings = checked_log(log, model, show)
@@ -159,7 +159,7 @@ def simulate_log(
         if value is not None and not 0.0 <= value < 1e9:
             raise ConfigError(f"{name} is {value:g}; a gain is a number of at least 0")
     machine = machine_of(model, {name: value for name, value in given.items() if value is not None})
-    reporter = reporter or SilentReporter()
+    reporter = reporting(reporter)
     for line in left_out(machine):
         reporter.warn(line)
     if model is None:

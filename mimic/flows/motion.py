@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from mimic.config.pose import LanguageSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.provenance import provenance
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.io import store
 from mimic.io.assets import manual, user_cache
 from mimic.io.reading import check_clock, existing
@@ -115,21 +116,26 @@ class Source:
     """Whether a file with such an ending, found in a folder, is meant to be played."""
 
 
+Arrays = Mapping[str, Any] | np.ndarray
+"""What `load_motion` takes in place of a file: the arrays of an .npz by name, or its points alone (T, N, 3)."""
+
+
 def load_motion(
-    source: str | Path,
+    source: str | Path | Arrays,
     settings: AnySettings | None = None,
     *,
     description: RobotDescription | None = None,
     reporter: Reporter | None = None,
     **changes: Any,
 ) -> Motion:
-    """Load a motion from a file.
+    """Load a motion from a file or from arrays.
 
     The ending of the file names its reader (see SOURCES); a file with any other ending is read as a video.
 
     Args:
         source: A video of one person, recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt), key frames (.yaml), or a
-            record that mimic wrote (.parquet).
+            record that mimic wrote (.parquet); or what an .npz would hold: a dict of its arrays, or its points
+            (T, N, 3), whose rate is then a setting (``fps=30``).
         settings: How the input becomes commands; InputSettings, or one part of it such as RetargetSettings.
         description: Robot whose workspace the targets are clamped to; by default the shipped CyberDog 2.
         reporter: Receives notes, warnings and progress.
@@ -143,11 +149,24 @@ def load_motion(
         AssetError: If a record cannot be read.
         ConfigError: If there is no such setting.
     """
+    if isinstance(source, np.ndarray):
+        if source.shape[1:] == (2, 3):
+            raise SourceError(
+                "an array (T, 2, 3) of toes is played as CommandTrack(t=t, v=v, heading=heading, p_BE=array)"
+            )
+        source = {"points": source}
+    if isinstance(source, Mapping):
+        with TemporaryDirectory() as folder:
+            file = Path(folder) / "arrays.npz"
+            np.savez(file, **source)
+            return load_motion(file, settings, description=description, reporter=reporter, **changes)
+    if not isinstance(source, str | Path):
+        raise SourceError(f"load_motion is given a {type(source).__name__}; expected a file, or arrays as in an .npz")
     path = existing(source)
     if path.is_dir():
         raise SourceError(f"{path} is a folder; expected a file. To play all files of a folder: mimic batch {path}")
     loading = _Loading(
-        settings=input_settings(settings, changes), reporter=reporter or SilentReporter(), description=description
+        settings=input_settings(settings, changes), reporter=reporting(reporter), description=description
     )
     ending = path.suffix.lower()
     reader = next((kind for kind in SOURCES if ending in kind.endings), None)
@@ -180,7 +199,7 @@ def motion_from_text(
     """
     from mimic.sources.text.planner import describe, plan, uses_model
 
-    settings, reporter = input_settings(settings, changes), reporter or SilentReporter()
+    settings, reporter = input_settings(settings, changes), reporting(reporter)
     refuse_second_video(settings, "a sentence is none")
     loading = _Loading(settings=settings, reporter=reporter, description=description)
     reach = loading.reach()
@@ -220,7 +239,7 @@ def track_video(
     from mimic.sources.video.video import pose_cache_key
     from mimic.sources.video.video import track_video as track
 
-    path, settings, reporter = existing(video), settings or PoseSettings(), reporter or SilentReporter()
+    path, settings, reporter = existing(video), settings or PoseSettings(), reporting(reporter)
     if settings.also is not None:
         return _track_two(path, existing(settings.also), replace(settings, also=None), cache, reporter)
     if path.is_dir():
@@ -275,10 +294,12 @@ def retarget(
     """
     loading = _Loading(
         settings=InputSettings(retarget=settings or RetargetSettings()),
-        reporter=reporter or SilentReporter(),
+        reporter=reporting(reporter),
         description=description,
     )
-    motion = _of_pose(track, loading) if isinstance(track, PoseTrack) else _of_wrists(track, loading)
+    if not isinstance(track, PoseTrack | WristTrack):
+        raise SourceError(f"retarget is given a {type(track).__name__}; expected a PoseTrack or a WristTrack")
+    motion = _of_record(track, loading)
     assert motion.targets is not None
     return motion.targets
 
@@ -292,7 +313,7 @@ def as_motion(
     """Return a motion of whatever can be played, retargeted with default settings where that is needed."""
     if isinstance(commands, Motion):
         return commands
-    loading = _Loading(settings=InputSettings(), reporter=reporter or SilentReporter(), description=description)
+    loading = _Loading(settings=InputSettings(), reporter=reporting(reporter), description=description)
     return _of_record(commands, loading)
 
 
@@ -308,6 +329,11 @@ def playable(path: Path) -> bool:
 
 
 def _of_record(record: CommandTrack | TargetTrack | WristTrack | PoseTrack, loading: _Loading) -> Motion:
+    if not isinstance(record, CommandTrack | TargetTrack | WristTrack | PoseTrack):
+        raise SourceError(
+            f"given is a {type(record).__name__}; expected a file, arrays as in an .npz, a Motion, or a CommandTrack, "
+            "TargetTrack, WristTrack or PoseTrack"
+        )
     if isinstance(record, PoseTrack):
         return _of_pose(record, loading)
     if isinstance(record, WristTrack):
@@ -339,6 +365,8 @@ def _of_wrists(wrists: WristTrack, loading: _Loading) -> Motion:
     return _of_targets(targets)
 
 
+ACROSS = 0.4
+"""A hand whose median is farther across [arm lengths] is in the place of the other hand, or given in other axes."""
 SPARSE, FARTHEST = (0.002, 10.0), 2.0
 """Plausible times between two commands or targets [s], and the farthest that a toe can be from the base [m]."""
 LONGEST, FASTEST = (0.15, 1.6), 20.0
@@ -362,6 +390,11 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
             f"the arms are {wrists.arm_length:.3g} m long; expected {LONGEST[0]:g} to {LONGEST[1]:g} m: give the "
             "positions in metres"
         )
+    left, right = np.nanmedian(np.where(wrists.valid, wrists.p_SH[..., 1], np.nan), axis=0)
+    if left < -ACROSS and right > ACROSS:
+        yield "each hand is mostly on the side of the other one: if the sides are exchanged, exchange left and right"
+    elif min(left, right) > ACROSS or max(left, right) < -ACROSS:
+        yield "both hands are mostly on one side: if y is up or down in the data, turn it to x forward, y left, z up"
     step = np.linalg.norm(np.diff(wrists.p_SH, axis=0), axis=-1) / np.diff(wrists.t)[:, None]
     known = step[np.isfinite(step)]
     if len(known) and (speed := float(np.quantile(known, 0.9))) > FASTEST:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mimic.config.play import DEFAULT_ROBOT, EffectsSettings, RunSettings
 from mimic.errors import AssetError, ConfigError, SourceError
-from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
-from mimic.flows.preload import PreloadingReporter
+from mimic.flows.motion import Arrays, InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
 from mimic.flows.provenance import provenance
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import (
     COMMANDS,
     HEALTH,
@@ -86,7 +88,7 @@ def load_policy(policy: str | Path | None = None, robot: RobotDescription | None
 
 
 def play(
-    commands: str | Path | Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack | LiveCommands,
+    commands: str | Path | Arrays | Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack | LiveCommands,
     *,
     robot: str | Path | None = None,
     plant: Plant | None = None,
@@ -101,7 +103,8 @@ def play(
     """Stand up, play commands through a policy, sit down. Writes no files.
 
     Args:
-        commands: A file, a motion, a track at any stage (it is retargeted as needed), or live commands.
+        commands: A file, arrays (see `load_motion`), a motion, a track at any stage (it is retargeted as needed), or
+            live commands.
         robot: Which robot is simulated, such as "go2" (see `load_robot`); by default that of the effects.
         plant: Robot that plays them instead; it is closed at the end.
         policy: Low-level policy or its ONNX file; by default the shipped one.
@@ -125,7 +128,7 @@ def play(
     from mimic.policy.runtime import Policy
     from mimic.policy.runtime import load_policy as policy_for
 
-    settings, effects, reporter = settings or RunSettings(), effects or EffectsSettings(), reporter or SilentReporter()
+    settings, effects, reporter = settings or RunSettings(), effects or EffectsSettings(), reporting(reporter)
     if not isinstance(settings, RunSettings):
         raise ConfigError(
             f"play takes RunSettings; to give {type(settings).__name__}: play(load_motion(source, settings))"
@@ -133,9 +136,9 @@ def play(
     if robot is not None:
         effects = replace(effects, robot_model=str(robot))
     description = load_robot(effects.robot_model) if plant is None else plant.description
-    if isinstance(commands, str | Path):
-        if not Path(commands).exists():
-            raise SourceError(f"there is no file {commands}; to play a sentence: play(motion_from_text(sentence))")
+    if isinstance(commands, str | Path) and not Path(commands).exists():
+        raise SourceError(f"there is no file {commands}; to play a sentence: play(motion_from_text(sentence))")
+    if isinstance(commands, (str, Path, Mapping, np.ndarray)):
         commands = load_motion(commands, description=description, reporter=reporter)
     motion: Motion | None = None
     asked: CommandTrack | LiveCommands
@@ -202,7 +205,7 @@ def play_source(
         SourceError, AssetError, ConfigError, ContractError: If something cannot be used; nothing is written then.
     """
     settings, run, effects = settings or InputSettings(), run or RunSettings(), effects or EffectsSettings()
-    reporter = reporter or SilentReporter()
+    reporter = reporting(reporter)
     file = existing(source) if isinstance(source, Path) else None
     if film is not None and film.suffix != ".mp4":
         raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
@@ -217,7 +220,7 @@ def play_source(
 
             footage = stack.enter_context(start_footage(file))
         check_playable(run, effects)
-        motion = load_source(source, settings, PreloadingReporter(reporter), load_robot(effects.robot_model))
+        motion = load_source(source, settings, reporter, load_robot(effects.robot_model))
         done = play(motion, settings=run, effects=effects, reporter=reporter)
         parts = settings_of(settings) | {"run": run, "robot": effects}
         return save_run(done, folder, reporter, settings=parts, source=file, film=film, footage=footage)

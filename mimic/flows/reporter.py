@@ -6,6 +6,8 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
+from mimic.errors import ConfigError
+
 Progress = Callable[[int, int | None], None]
 """Takes the steps done, and their total where it is known."""
 
@@ -53,3 +55,14 @@ class SilentReporter:
     def activity(self, unit: str) -> AbstractContextManager[Activity]:
         """Return a context whose function does nothing."""
         return nullcontext(lambda text, count: None)
+
+
+def reporting(reporter: Reporter | None) -> Reporter:
+    """Return the reporter, a silent one for None.
+
+    Raises:
+        ConfigError: If it is no reporter.
+    """
+    if reporter is not None and not hasattr(reporter, "progress"):
+        raise ConfigError(f"reporter is {reporter!r}; expected an object with note, warn, progress and activity")
+    return reporter or SilentReporter()

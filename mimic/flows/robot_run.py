@@ -23,7 +23,7 @@ from mimic.flows.motion import InputSettings, Motion
 from mimic.flows.operator import Operator, undisturbed
 from mimic.flows.play import load_robot, load_source, play, robot_on
 from mimic.flows.provenance import provenance
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
 from mimic.io import store
 from mimic.records import CommandTrack, LiveCommands
@@ -137,7 +137,7 @@ def play_on_robot(
         run or RunSettings(),
         bus or BusSettings(),
     )
-    operator, reporter = operator or Operator(), reporter or SilentReporter()
+    operator, reporter = operator or Operator(), reporting(reporter)
     description = load_robot(robot_on(bus_url))
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")

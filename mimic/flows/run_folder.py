@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from mimic.errors import ConfigError
 from mimic.flows.provenance import provenance
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.io import store
 from mimic.records import HealthLog, Provenance, RunLog
 from mimic.records.table import ShownAsTable
@@ -74,6 +74,12 @@ class Run(ShownAsTable):
             figures["wanted_to_reached_cm"] = wanted_to_reached(self.complete_log, targets)
         return figures
 
+    def shown(self) -> dict[str, str]:
+        """Return the figures of the run in words, by name."""
+        from mimic.metrics import metric_rows
+
+        return metric_rows(self.metrics)
+
     @property
     def shortfall(self) -> str | None:
         """What the robot did not do, as a sentence without its full stop: it never stood up, or was damped early."""
@@ -97,7 +103,7 @@ class Run(ShownAsTable):
             AssetError: If nothing can be written there.
         """
         store.check_writable(Path(folder))
-        return save_run(self, Path(folder), reporter or SilentReporter())
+        return save_run(self, Path(folder), reporting(reporter))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -109,6 +115,10 @@ class SavedRun(ShownAsTable):
     metrics: Mapping[str, Any]
     """Figures of the run, as in metrics.json."""
     film: Path | None = None
+
+    def shown(self) -> dict[str, str]:
+        """Return the figures of the run and its folder in words, by name."""
+        return {**self.run.shown(), "run folder": str(self.folder)}
 
 
 def new_run_folder(source: Path | str, out: Path | None) -> Path:

@@ -13,7 +13,7 @@ from mimic.config.training import LearnSettings, MdpSettings
 from mimic.config.values import expected, fitted, read_toml
 from mimic.errors import AssetError, ConfigError, MissingExtra
 from mimic.flows.play import load_robot, warn_of_stand_effects
-from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.reporter import Reporter, reporting
 from mimic.io.assets import shipped
 
 S = TypeVar("S")
@@ -118,7 +118,7 @@ def train(
     except ModuleNotFoundError as missing:
         raise MissingExtra(str(missing.name), "train") from None
     mdp, learn = mdp or MdpSettings(), learn or LearnSettings()
-    warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporter or SilentReporter())
+    warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporting(reporter))
     if resume is not None and not resume.is_file():
         raise AssetError(f"there is no checkpoint {resume}")
     return learn_policy(out, mdp, learn, load_robot(robot), resume=resume, report=report)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -18,14 +19,24 @@ class ShownAsTable:
 
     __slots__ = ()
 
+    def shown(self) -> dict[str, str]:
+        """Return what the lines of the table say, by name."""
+        return {f.name: in_words(getattr(self, f.name)) for f in fields(self)}  # type: ignore[arg-type]
+
     def __repr__(self) -> str:
-        names = [f.name for f in fields(self)]  # type: ignore[arg-type]
+        rows = self.shown()
+        names = list(rows)
         shown = names if len(names) < LINES else names[: LINES - 2]
         width = max(map(len, shown))
-        lines = [in_words(self), *(f"  {name:<{width}}  {in_words(getattr(self, name))}" for name in shown)]
+        lines = [in_words(self), *(f"  {name:<{width}}  {rows[name]}" for name in shown)]
         if len(shown) < len(names):
             lines.append(f"  and {', '.join(names[len(shown) :])}")
         return "\n".join(line if len(line) <= WIDTH else f"{line[: WIDTH - 1]}…" for line in lines)
+
+
+def number(value: float, form: str) -> str:
+    """Return a number in a format such as "{:.1f} cm", and a dash where it is not finite."""
+    return form.format(value) if math.isfinite(value) else "–"
 
 
 def in_words(value: Any) -> str:

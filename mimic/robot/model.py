@@ -17,6 +17,7 @@ import numpy as np
 from mimic.errors import AssetError
 from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription
+from mimic.robot.leg_kinematics import all_toes
 
 log = logging.getLogger(__name__)
 
@@ -30,21 +31,25 @@ _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
 """Axes of the abad, hip and knee joint."""
 
 
-def read_model(description: RobotDescription, *, floor: bool = False) -> Any:
+def read_model(description: RobotDescription, *, floor: bool = False, checked: bool = True) -> Any:
     """Return the robot as a MuJoCo specification (MjSpec) with canonical names.
 
     Joints and the links that they move are called as in JOINTS, the base BASE, the toe sites as in TOES. Collision
     shapes keep their names; one without a name is called ``body#n`` after its body and its place among the body's
     collision shapes. A missing free joint, missing toe sites, missing motors and a missing floor are added. Of an MJCF
-    with other motors or names, actuators, sensors, keyframes and meshes are left out, with a line in the log.
+    with other motors or names, actuators, sensors, keyframes, meshes, and what follows a body (lights, cameras) are
+    left out, with a line in the log, and its legs come in the order of LEGS.
 
     Args:
         description: The robot.
         floor: Put it on a floor, named FLOOR.
+        checked: Compare its toes and limits with the description's numbers, once for each description.
 
     Raises:
-        AssetError: If the file is no MJCF, or lacks a part that the description names.
+        AssetError: If the file is no MJCF, lacks a part that the description names, or is of another robot.
     """
+    if checked:
+        _check_numbers(description)
     names = description.names
     path = description.scene if floor and description.scene is not None else description.mjcf
     try:
@@ -54,14 +59,15 @@ def read_model(description: RobotDescription, *, floor: bool = False) -> Any:
     make_room(spec)
     own = [names.of_leg(name, leg) for leg in LEGS for name in names.joints] == list(JOINTS)
     if not (own and all(a.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR for a in spec.actuators)):
-        _leave_out(spec, path)
-    _name_shapes(spec)
+        leave_out(spec, path)
+        _order_legs(spec, description)
+    name_shapes(spec)
     shapes = {geom.name for geom in spec.geoms}
     missing = [shape for role in names.patterns for shape in names.shapes(role) if shape not in shapes]
     if missing:
         raise AssetError(f"{path} has no shape {missing[0]!r}; it has {', '.join(sorted(shapes - {''}))}")
     base = _found(spec.body(names.base), "body", names.base, path)
-    base.name = BASE
+    _rename_body(spec, base, BASE)
     if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in base.joints):
         base.add_freejoint(name=BASE)
         for key in list(spec.keys):  # they lack the numbers of the free joint
@@ -69,6 +75,10 @@ def read_model(description: RobotDescription, *, floor: bool = False) -> Any:
     _check_order(spec, description)
     for leg in LEGS:
         _name_leg(spec, description, leg)
+    for joint in spec.joints:
+        joint.name = joint.name.removeprefix(_MOVED)
+    for body in spec.bodies:
+        _rename_body(spec, body, body.name.removeprefix(_MOVED))
     if not spec.actuators:
         _add_motors(spec, description)
     if floor:
@@ -129,25 +139,54 @@ def _found(part: Any, kind: str, name: str, path: Any) -> Any:
     return part
 
 
-def _name_shapes(spec: Any) -> None:
+def name_shapes(spec: Any) -> None:
+    """Give each collision shape without a name that of its body and its place there."""
     for body in spec.bodies:
         for place, geom in enumerate(geom for geom in body.geoms if not is_visual(geom)):
             if not geom.name:
                 geom.name = f"{body.name}#{place}"
 
 
-def _leave_out(spec: Any, path: Path) -> None:
+def leave_out(spec: Any, path: Path) -> None:
     """Remove what refers to names that change, or that mimic has of its own, and shapes whose files may be missing."""
     meshes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     parts = {
         "actuators": spec.actuators,
         "sensors": spec.sensors,
         "keyframes": spec.keys,
+        "lights and cameras": [part for part in (*spec.lights, *spec.cameras) if part.targetbody],
         "shapes from meshes": meshes,
     }
     _tell(path, ", ".join(f"{len(found)} {name}" for name, found in parts.items() if found))
     for part in [part for found in (*parts.values(), spec.meshes) for part in list(found)]:
         spec.delete(part)
+
+
+def _order_legs(spec: Any, description: RobotDescription) -> None:
+    """Put legs that the model has in another order into that of LEGS; parts of the legs that are excluded stay so."""
+    names = description.names
+    links = [names.of_leg(names.links[0], leg) for leg in LEGS]
+    base = spec.body(names.base)
+    if base is None or any(spec.body(link) is None for link in links) or spec.joint(JOINTS[0]) is not None:
+        return  # said with the names of the parts
+    if [body.name for body in base.bodies if body.name in links] == links:
+        return
+    excluded = [(pair.bodyname1, pair.bodyname2) for pair in spec.excludes]
+    for pair in list(spec.excludes):
+        spec.delete(pair)
+    before = spec.copy()
+    for link in links:
+        spec.delete(spec.body(link))
+    for link in links:
+        base.add_frame().attach_body(before.body(link), _MOVED, "")
+    for part in (*spec.bodies, *spec.joints, *spec.geoms, *spec.sites):
+        part.name = part.name.removeprefix(_MOVED)
+    for first, second in excluded:
+        spec.add_exclude(bodyname1=first, bodyname2=second)
+
+
+_MOVED = "moved/"
+"""Before new names while old ones are there: a model may have the name of a role for another part."""
 
 
 @cache
@@ -156,12 +195,55 @@ def _tell(path: Path, parts: str) -> None:
         log.info("%s: left out %s", path, parts)
 
 
+APART, BEYOND = 1e-3, 1e-3
+"""How far a toe of the MJCF may be from where the numbers of the description put it [m], and how far their limits may
+go beyond the MJCF's [rad]: rounding, no more."""
+
+
+@cache
+def _check_numbers(description: RobotDescription) -> None:
+    """Raise an AssetError where the numbers of a description are not those of its MJCF."""
+    model = read_model(description, checked=False).compile()
+    names = description.names
+    for joint, low, high in zip(JOINTS, description.q_min, description.q_max, strict=True):
+        own = model.joint(joint)
+        limits = own.range
+        if own.limited and (low < limits[0] - BEYOND or high > limits[1] + BEYOND):
+            raise AssetError(
+                f"{joint} turns from {limits[0]:.3f} to {limits[1]:.3f} rad in {description.mjcf}, from {low:.3f} to "
+                f"{high:.3f} rad in its robot.toml: the numbers are of another robot, or must be corrected"
+            )
+    data = mujoco.MjData(model)
+    base = model.body(BASE)
+    for name, q in description.poses.items():
+        data.qpos[model.jnt_qposadr[[model.joint(joint).id for joint in JOINTS]]] = q
+        mujoco.mj_kinematics(model, data)
+        turn = data.xmat[base.id].reshape(3, 3)
+        found = (np.array([data.site(toe).xpos for toe in TOES]) - data.xpos[base.id]) @ turn
+        away = np.linalg.norm(found - all_toes(q, description), axis=1)
+        worst = int(np.argmax(away))
+        if away[worst] > APART:
+            raise AssetError(
+                f"in pose {name!r} the {names.legs[worst]} toe of {description.mjcf} is {100 * away[worst]:.1f} cm "
+                "from where the lengths in its robot.toml put it: they are of another robot, or must be corrected"
+            )
+
+
 def _check_order(spec: Any, description: RobotDescription) -> None:
     names = description.names
     expected = [names.of_leg(name, leg) for leg in LEGS for name in names.joints]
     found = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
     if found != expected:
         raise AssetError(f"{description.mjcf} has joints {', '.join(found)}; robot.toml names {', '.join(expected)}")
+
+
+def _rename_body(spec: Any, body: Any, name: str) -> None:
+    for pair in spec.excludes:
+        if pair.bodyname1 == body.name:
+            pair.bodyname1 = name
+        if pair.bodyname2 == body.name:
+            pair.bodyname2 = name
+    body.name = name
 
 
 def _name_leg(spec: Any, description: RobotDescription, leg: str) -> None:
@@ -173,9 +255,8 @@ def _name_leg(spec: Any, description: RobotDescription, leg: str) -> None:
     for role, joint, link, axis in zip(roles, joints, links, _AXES, strict=True):
         if not np.allclose(joint.axis, axis) or np.any(joint.pos):
             raise AssetError(f"{path}: joint {joint.name!r} must turn about {axis} at the origin of its link")
-        for pair in spec.excludes:
-            pair.bodyname1, pair.bodyname2 = (role if b == link.name else b for b in (pair.bodyname1, pair.bodyname2))
-        joint.name, link.name = role, role
+        joint.name = _MOVED + role
+        _rename_body(spec, link, _MOVED + role)
     toe = TOES[at]
     if names.toe_site:
         own = names.of_leg(names.toe_site, leg)

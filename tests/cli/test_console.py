@@ -34,8 +34,15 @@ def printed(monkeypatch):
 def test_work_that_reports_nothing_new_still_prints_lines(printed):
     with ConsoleReporter().activity("replays") as show:
         show("refining the step size", 113)
-        lines = printed(3)
+        before = len(printed(1))
+        lines = printed(before + 2)[before:]
     assert all(line.endswith(" s  refining the step size, 113 replays so far") for line in lines)
+
+
+def test_work_that_has_reported_nothing_yet_is_named(printed):
+    with ConsoleReporter().progress("scene"):
+        lines = printed(2)
+    assert all(line.endswith(" s  scene") for line in lines)
 
 
 def test_the_newest_line_is_printed_and_none_afterwards(printed):

@@ -50,7 +50,7 @@ def test_every_help_is_examples_and_plain_words(command, capsys):
     assert "Examples:" in shown
     for marker in ("``", ":class:", "--empty-", ":mod:"):
         assert marker not in shown
-    assert re.findall(r"\bNone\b|\bInstead\b", shown) == []
+    assert re.findall(r"\bNone\b|\bInstead\b|default: (?:\W*\]|\(|False|True)|\d\.\d{8}", shown) == []
     assert set(re.findall(r"\b[A-Z]+_[A-Z_]+\b", shown)) <= NO_CONSTANT
 
 

@@ -91,6 +91,13 @@ def test_the_reference_of_the_library_has_every_public_name() -> None:
             )
 
 
+def test_the_page_of_the_library_shows_only_names_of_mimic() -> None:
+    page = (ROOT / "docs" / "reference" / "api" / "library.md").read_text(encoding="utf-8")
+    members = re.findall(r"members: \[(.*)\]", page)
+    assert len(members) == page.count("\n::: ")
+    assert {name for names in members for name in names.split(", ")} <= set(mimic._MODULE_OF)
+
+
 def test_the_table_of_commands_names_each_command() -> None:
     table = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     missing = [name for name in app if not name.startswith("-") and f"`mimic {name}" not in table]
@@ -102,6 +109,15 @@ def test_the_navigation_of_the_site_has_every_page(site: ModuleType) -> None:
     written = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
     written |= {f"results/{path.name}" for path in (ROOT / "lab" / "results").glob("*.md")}
     assert written | {"changelog.md"} == set(navigation(configuration["nav"]))
+
+
+def test_a_page_that_the_site_leaves_out_is_no_silent_text(site: ModuleType, monkeypatch, caplog) -> None:
+    card = "policies/go2_stand_track.md"
+    site.site_links(f"[card](../../{card})", "manual/policy.md")
+    assert caplog.text == ""
+    monkeypatch.delitem(site.ADDED, card)
+    site.site_links(f"[card](../../{card})", "manual/policy.md")
+    assert "is no page of the site" in caplog.text
 
 
 def test_links_that_leave_docs_become_pages_of_the_site_or_plain_paths(site: ModuleType) -> None:

@@ -16,6 +16,7 @@ EXAMPLES = ROOT / "examples"
 SCRIPTS = {
     "calibrate_any_machine": (["out"], "coulomb {'level': [0.4", "out/report.html"),
     "disturbed_policy": ([], "toe error [cm]", None),
+    "gymnasium_env": (["go2", "3"], "150 steps, fell: False", None),
     "own_motion": ([], "falls: 0", None),
     "play_and_plot": ([str(EXAMPLES / "motions" / "step_and_wave.yaml"), "toes.png"], "stood up in 0.3", "toes.png"),
     "rerun_scene": (["scene.rrd"], "mean power", "scene.rrd"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import pickle
+import sys
 from pathlib import Path
 
 import mujoco
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from mimic.cli import main
 from mimic.config.play import RunSettings
-from mimic.errors import AssetError, ConfigError
+from mimic.errors import AssetError, ConfigError, MissingExtra
 from mimic.flows.export import export, export_batch
 from mimic.flows.motion import motion_from_text
 from mimic.flows.play import play
@@ -180,4 +181,36 @@ def test_a_dataset_that_cannot_be_finished_is_not_there(run, log, tmp_path, monk
     monkeypatch.setattr("mimic.io.lerobot._save_tasks", broken)
     with pytest.raises(OSError, match="no space left"):
         export(run, tmp_path / "ds", video=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_mcap_file_is_read_back_by_the_readers_of_mcap(run, log, tmp_path):
+    from mcap_ros2.reader import read_ros2_messages
+
+    assert main(["export", str(run), "--format", "mcap", "-o", str(tmp_path / "run.mcap")]) == 0
+    found: dict[str, list] = {}
+    for message in read_ros2_messages(str(tmp_path / "run.mcap")):
+        found.setdefault(message.channel.topic, []).append(message)
+    assert set(found) == {"/joint_states", "/joint_commands", "/tf", "/left_toe_target", "/right_toe_target"}
+    states = [one.ros_msg for one in found["/joint_states"]]
+    assert tuple(states[0].name) == JOINTS
+    np.testing.assert_array_equal([one.position for one in states], log.q)
+    np.testing.assert_array_equal([one.effort for one in states], log.tau)
+    np.testing.assert_array_equal([one.ros_msg.position for one in found["/joint_commands"]], log.q_des)
+    np.testing.assert_allclose([one.log_time_ns / 1e9 for one in found["/tf"]], log.t, atol=1e-8)
+    base = found["/tf"][-1].ros_msg.transforms[0]
+    moved, turned = base.transform.translation, base.transform.rotation
+    np.testing.assert_allclose([moved.x, moved.y, moved.z], log.p_WB[-1])
+    np.testing.assert_allclose([turned.w, turned.x, turned.y, turned.z], log.quat_WB[-1])
+    assert len(found["/tf"][-1].ros_msg.transforms) >= 13
+    left = [one.ros_msg.point for one in found["/left_toe_target"]]
+    asked = log.p_BE_des[np.isfinite(log.p_BE_des[:, 0]).all(axis=1), 0]
+    np.testing.assert_array_equal([[p.x, p.y, p.z] for p in left], asked)
+    assert found["/left_toe_target"][0].ros_msg.header.frame_id == base.child_frame_id
+
+
+def test_without_the_mcap_library_its_package_is_named(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)
+    with pytest.raises(MissingExtra, match="pip install 'mcap-ros2-support"):
+        export(run, tmp_path / "run.mcap", "mcap")
     assert list(tmp_path.iterdir()) == []

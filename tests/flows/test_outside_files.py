@@ -858,6 +858,22 @@ def test_hands_that_are_too_fast_are_said(change, said):
     assert any(said in text for text in heard.said) if said else not heard.said
 
 
+@pytest.mark.parametrize(
+    ("turned", "said"),
+    [
+        (lambda p: p[:, ::-1], "the sides are exchanged"),
+        (lambda p: p[..., [0, 2, 1]] * [1, 1, -1], "if y is up or down"),
+        (lambda p: p, None),
+    ],
+)
+def test_exchanged_sides_and_another_axis_up_are_said(turned, said):
+    spread = wrists()
+    out = np.nan_to_num(spread.p_SH) * 0.1 + [[0.0, 0.6, -0.7], [0.0, -0.6, -0.7]]
+    heard = Heard()
+    retarget(replace(spread, p_SH=turned(out)), reporter=heard)
+    assert any(said in text for text in heard.said) if said else not heard.said
+
+
 @pytest.mark.parametrize("arm", [0.0, 17.0, 600.0])
 def test_arms_of_no_persons_length_are_refused(arm):
     with pytest.raises(SourceError) as error:

@@ -8,6 +8,7 @@ sentences are held by tests/sources/text/test_sentences.py, the first 50 steps o
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 import tempfile
@@ -22,6 +23,7 @@ import pytest
 from cyclopts import App
 
 import mimic
+from mimic.cli import HELP
 from mimic.config.sysid import CalibrateSettings, LogSettings
 from mimic.flows.machine_log import LogMotion
 
@@ -86,6 +88,20 @@ def options() -> list[str]:
             )
             lines += [words, *(f"    {name}" for name in names if name != "*")]
     return lines
+
+
+def drawn_help() -> list[str]:
+    """Return the help of the bare command as its parser draws it in 80 columns."""
+    from rich.console import Console
+
+    from mimic.cli.app import app
+    from mimic.cli.play import play
+
+    if not app.default_command:
+        app.default(play)
+    screen = io.StringIO()
+    app.help_print([], console=Console(file=screen, width=80, color_system=None))
+    return [line.rstrip() for line in screen.getvalue().splitlines()]
 
 
 def policy_actions() -> dict[str, Any]:
@@ -169,7 +185,9 @@ def differences(now: Any, held: Any, absolute: float, relative: float = 0.0, whe
     return [] if now == held else [f"{where}: {str(now)[:80]}, held is {str(held)[:80]}"]
 
 
-TEXTS: dict[str, Callable[[], list[str]]] = {"public_names": public_names, "options": options}
+TEXTS: dict[str, Callable[[], list[str]]] = {"public_names": public_names, "options": options, "help": drawn_help}
+FILES = {"help": HELP}
+"""Where a text is held that is not beside this file."""
 NUMBERS: dict[str, tuple[Callable[[], dict[str, Any]], float, float]] = {
     "policy_actions": (policy_actions, 1e-4, 0.0),
     "sentences": (sentences, 1e-5, 0.0),
@@ -182,7 +200,8 @@ NUMBERS: dict[str, tuple[Callable[[], dict[str, Any]], float, float]] = {
 
 @pytest.mark.parametrize("part", list(TEXTS))
 def test_names_are_those_that_are_held(part: str) -> None:
-    assert TEXTS[part]() == (HERE / f"{part}.txt").read_text(encoding="utf-8").splitlines()
+    held = FILES.get(part, HERE / f"{part}.txt")
+    assert TEXTS[part]() == held.read_text(encoding="utf-8").splitlines()
 
 
 @pytest.mark.parametrize(
@@ -197,7 +216,7 @@ def test_numbers_are_those_that_are_held(part: str) -> None:
 def write(part: str) -> None:
     """Write the file of a part anew."""
     if part in TEXTS:
-        (HERE / f"{part}.txt").write_text("\n".join(TEXTS[part]()) + "\n", encoding="utf-8")
+        FILES.get(part, HERE / f"{part}.txt").write_text("\n".join(TEXTS[part]()) + "\n", encoding="utf-8")
     else:
         lines = (f"{json.dumps(k)}: {json.dumps(v, separators=(',', ':'))}" for k, v in NUMBERS[part][0]().items())
         (HERE / f"{part}.json").write_text("{" + ",\n".join(lines) + "}\n", encoding="utf-8")

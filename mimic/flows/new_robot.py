@@ -1,0 +1,328 @@
+"""A robot's folder from its MJCF: what it tells is derived, all else is the Go2's, scaled, and marked as guessed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.optimize import brentq
+
+from mimic.config.text_file import from_toml, read_text
+from mimic.errors import AssetError, ConfigError
+from mimic.io import store
+from mimic.io.assets import shipped
+from mimic.records import LEGS, FloatArray
+from mimic.robot.description import FILE, RobotDescription, load_description
+from mimic.robot.model import leave_out, name_shapes, read_model
+
+LEG_NAMES = (LEGS, tuple(leg.lower() for leg in LEGS), ("LF", "RF", "LH", "RH"), ("lf", "rf", "lh", "rh"))
+"""What models call their legs, in the order of LEGS."""
+INSIDE = 0.05
+"""Distance of the poses from the joint limits [rad]."""
+SAME = 1e-4
+"""A site this near to the centre of a toe marks it [m]."""
+DERIVED, GUESSED = "derived from the MJCF", "GUESSED: the Go2's{}; measure it"
+POSES = {"lie": (1.25, -2.5, 1.25, -2.5), "four": (0.8, -1.6, 0.8, -1.6), "upright": (0.9, -1.6, 1.8, -1.2)}
+"""Hip and knee of the front legs, then of the hind legs [rad]; the upright hind hip is then solved for."""
+SCALED = {
+    "legs": ("goals.low", "goals.high", "reach.scale", "reach.forward", "safety.toes_apart", "safety.toes_apart_moving")
+    + ("safety.front_above",),
+    "upright": ("training.rise_to", "training.height_low", "training.height_span", "training.height_fallen")
+    + ("training.early_toe_height",),
+    "lying": ("training.rise_from", "training.lying_height", "start.height"),
+    "torque": ("motor.kp", "motor.kd", "start.kp", "start.kd", "motor.kd_max", "motor.torque_rated"),
+}
+"""What grows with the length of a leg, the height upright and lying, and the torque of the motors."""
+UNUSED = {
+    "body": ("mass", "com", "inertia", "imu"),
+    "abad": ("mass", "com", "inertia", "shoulder"),
+    "hip": ("mass", "com", "inertia", "box"),
+    "knee": ("mass", "com", "inertia", "mirrors", "shank"),
+    "motor": ("thermal",),
+    "physics": ("solref_friction", "solimp_friction"),
+}
+"""What describes the Go2's own MJCF, or its motors."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Legs:
+    """The legs of a compiled model, by their roles."""
+
+    joints: np.ndarray
+    """Joints of LEGS: abad, hip, knee (4, 3)."""
+    links: np.ndarray
+    """Bodies that they move (4, 3)."""
+    base: int
+    names: tuple[str, ...]
+    """The model's names of the legs."""
+
+
+def new_robot(mjcf: Path, out: Path) -> tuple[RobotDescription, int]:
+    """Write the folder of a robot, and return its description and how many of its numbers are guessed.
+
+    Raises:
+        AssetError: If the MJCF is not that of a robot with four legs of three joints, as add-a-robot.md says.
+        ConfigError: If ``out`` exists.
+    """
+    if out.exists():
+        raise ConfigError(f"{out} exists; name another folder with --out, or remove it")
+    store.check_writable(out.parent)
+    try:
+        spec: Any = mujoco.MjSpec.from_file(str(mjcf))
+    except (ValueError, OSError) as reason:
+        raise AssetError(f"{mjcf} is not an MJCF that MuJoCo reads: {' '.join(str(reason).split())}") from None
+    torque = _torques(spec)
+    leave_out(spec, mjcf)
+    name_shapes(spec)
+    model = spec.compile()
+    legs = _legs(model, mjcf)
+    own = _derived(model, legs, torque, mjcf)
+    text, guessed = _written(own, out.name)
+    out.mkdir()
+    try:
+        shutil.copy(mjcf, out / mjcf.name)
+        (out / FILE).write_text(text, encoding="utf-8")
+        description = load_description(out)
+        read_model(description)
+    except BaseException:
+        shutil.rmtree(out)
+        raise
+    return description, guessed
+
+
+def _torques(spec: Any) -> dict[str, float]:
+    """Return the largest torque of each joint that the MJCF limits [N m]."""
+    found = {joint.name: float(joint.actfrcrange[1]) for joint in spec.joints if joint.actfrcrange[1] > 0}
+    for actuator in spec.actuators:
+        is_motor = actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+        ranges = [actuator.forcerange[1], actuator.ctrlrange[1] * actuator.gainprm[0] if is_motor else 0.0]
+        most = next((float(limit) for limit in ranges if limit > 0), 0.0) * abs(actuator.gear[0])
+        if most > 0:
+            found.setdefault(actuator.target, most)
+    return found
+
+
+def _legs(model: mujoco.MjModel, mjcf: Path) -> _Legs:
+    hinges = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
+    of_body = {int(model.jnt_bodyid[j]): j for j in hinges}
+    first = [body for body in of_body if int(model.body_parentid[body]) not in of_body]
+    chains = [[body for body in of_body if _ancestor(model, body, start)] for start in first]
+    if len(hinges) != 12 or len(chains) != 4 or any(len(chain) != 3 for chain in chains):
+        raise AssetError(f"{mjcf} has {len(hinges)} hinges in {len(chains)} chains; expected four legs of three joints")
+    place = {
+        ("F" if model.body_pos[c[0]][0] > 0 else "R") + ("L" if model.body_pos[c[0]][1] > 0 else "R"): c for c in chains
+    }
+    if set(place) != set(LEGS):
+        raise AssetError(
+            f"{mjcf} has legs at {', '.join(sorted(place))}; expected one at each corner, x forward, y left"
+        )
+    links = np.array([place[leg] for leg in LEGS])
+    joints = np.vectorize(of_body.get)(links)
+    known = [
+        [model.body(b).name for b in row] + [model.joint(j).name for j in on]
+        for row, on in zip(links, joints, strict=True)
+    ]
+    for names in LEG_NAMES:
+        patterns = [name.replace(names[0], "{leg}") for name in known[0]]
+        if all([p.replace("{leg}", leg) for p in patterns] == row for leg, row in zip(names, known, strict=True)):
+            return _Legs(joints=joints, links=links, base=int(model.body_parentid[links[0, 0]]), names=names)
+    raise AssetError(
+        f"{mjcf} calls its joints {', '.join(known[0][3:])} …; expected names that differ by FL, FR, RL, RR or such"
+    )
+
+
+def _ancestor(model: mujoco.MjModel, body: int, wanted: int) -> bool:
+    while body not in (0, wanted):
+        body = int(model.body_parentid[body])
+    return body == wanted
+
+
+def _derived(model: mujoco.MjModel, legs: _Legs, torque: Mapping[str, float], mjcf: Path) -> dict[str, Any]:
+    """Return the numbers that the model tells, by table and name."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    front = legs.links[0]
+    shapes, toe = _shapes(model, legs, data, mjcf)
+    limits = model.jnt_range[legs.joints]
+    position = data.geom_xpos[toe] - data.xpos[front[2]]
+    radius = float(model.geom_size[toe, 0])
+    dof = model.jnt_dofadr[legs.joints[0]]
+    own: dict[str, Any] = {
+        "model.file": mjcf.name,
+        "model.base": model.body(legs.base).name,
+        "model.legs": legs.names,
+        "model.joints": [model.joint(j).name.replace(legs.names[0], "{leg}") for j in legs.joints[0]],
+        "model.links": [model.body(b).name.replace(legs.names[0], "{leg}") for b in front],
+        **{f"model.shapes.{role}": names for role, names in shapes.items()},
+        "body.box": 2 * _extent(model, data, legs.base, shapes["trunk"]),
+        "abad.origin": data.xpos[front[0]] - data.xpos[legs.base],
+        "abad.range": limits[0, 0],
+        "hip.origin": [0.0, data.xpos[front[1]][1] - data.xpos[front[0]][1], 0.0],
+        "hip.length": data.xpos[front[1]][2] - data.xpos[front[2]][2],
+        "hip.range_front": limits[0, 1],
+        "hip.range_rear": limits[2, 1],
+        "knee.range": limits[0, 2],
+        "toe.radius": radius,
+        "toe.position": [position[0], 0.0, position[2]],
+    }
+    away = np.linalg.norm(data.site_xpos - data.geom_xpos[toe], axis=1)
+    sites = [model.site(site).name for site in np.flatnonzero(away < SAME)]
+    if sites:
+        own["model.toe_site"] = sites[0].replace(legs.names[0], "{leg}")
+    known = [torque.get(model.joint(j).name) for j in legs.joints[0]]
+    if None not in known:
+        own["motor.torque_max"] = known
+    for name, values in (
+        ("armature", model.dof_armature),
+        ("friction", model.dof_frictionloss),
+        ("damping", model.dof_damping),
+    ):
+        if (values[dof] > 0).all():
+            own[f"motor.{name}"] = values[dof]
+    direction = np.array([0.2, 0.0, 1.0]) / np.hypot(0.2, 1.0)
+    toes = [_toe_of(model, legs, data, leg, mjcf) for leg in range(4)]
+    for pose in POSES:
+        q, height = _pose(model, legs, toes, radius, pose, float(np.arcsin(direction[2])) if pose == "upright" else 0.0)
+        own[f"pose.{pose}"] = {"z": height, "up": float(direction[2]) if pose == "upright" else 0.0, "q": q}
+    return own
+
+
+def _group(model: mujoco.MjModel, legs: _Legs, geom: int) -> tuple[int, int] | None:
+    """Return the leg and the link (0 abad, 1 hip, 2 knee) that a shape moves with; None for the base."""
+    body = int(model.geom_bodyid[geom])
+    while body and body != legs.base:
+        found = np.argwhere(legs.links == body)
+        if len(found):
+            return int(found[0][0]), int(found[0][1])
+        body = int(model.body_parentid[body])
+    return None
+
+
+def _collision(model: mujoco.MjModel, legs: _Legs) -> Iterator[tuple[int, tuple[int, int] | None]]:
+    for geom in range(model.ngeom):
+        if (model.geom_contype[geom] or model.geom_conaffinity[geom]) and _ancestor(
+            model, int(model.geom_bodyid[geom]), legs.base
+        ):
+            yield geom, _group(model, legs, geom)
+
+
+def _toe_of(model: mujoco.MjModel, legs: _Legs, data: mujoco.MjData, leg: int, mjcf: Path) -> int:
+    balls = [
+        g for g, at in _collision(model, legs) if at == (leg, 2) and model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE
+    ]
+    if not balls:
+        raise AssetError(f"{mjcf} has no ball at the toe of {LEGS[leg]}; expected a sphere that collides")
+    return min(balls, key=lambda geom: data.geom_xpos[geom][2])
+
+
+def _shapes(model: mujoco.MjModel, legs: _Legs, data: mujoco.MjData, mjcf: Path) -> tuple[dict[str, list[str]], int]:
+    """Return the collision shapes by role, those of the front left leg as patterns, and the ball of its toe."""
+    toe = _toe_of(model, legs, data, 0, mjcf)
+    found: dict[str, list[str]] = {"trunk": [], "abad": [], "thigh": [], "shank": [], "toe": []}
+    for geom, at in _collision(model, legs):
+        if at is None:
+            found["trunk"].append(model.geom(geom).name)
+        elif at[0] == 0:
+            role = "toe" if geom == toe else ("abad", "thigh", "shank")[at[1]]
+            found[role].append(model.geom(geom).name.replace(legs.names[0], "{leg}"))
+    if not found["trunk"]:
+        raise AssetError(f"{mjcf} has no shape of the trunk that collides; add a box to {model.body(legs.base).name}")
+    return found, toe
+
+
+def _extent(model: mujoco.MjModel, data: mujoco.MjData, base: int, names: list[str]) -> FloatArray:
+    """Return how far shapes reach from the base along its axes (3,) [m]."""
+    most = np.zeros(3)
+    for name in names:
+        geom = model.geom(name).id
+        turn = data.geom_xmat[geom].reshape(3, 3)
+        centre = data.geom_xpos[geom] - data.xpos[base] + turn @ model.geom_aabb[geom, :3]
+        most = np.maximum(most, np.abs(centre) + np.abs(turn) @ model.geom_aabb[geom, 3:])
+    return most
+
+
+def _pose(
+    model: mujoco.MjModel, legs: _Legs, toes: list[int], radius: float, pose: str, pitch: float
+) -> tuple[FloatArray, float]:
+    """Return joints (12,) [rad] and height [m] of a pose; an upright robot's hind toes are under its centre of mass."""
+    fore_hip, fore_knee, hind_hip, hind_knee = POSES[pose]
+    wanted = np.array([[0.0, fore_hip, fore_knee]] * 2 + [[0.0, hind_hip, hind_knee]] * 2)
+    low, high = np.moveaxis(model.jnt_range[legs.joints], -1, 0)
+    data = mujoco.MjData(model)
+    turn = np.array([[np.cos(pitch), 0.0, np.sin(-pitch)], [0.0, 1.0, 0.0], [np.sin(pitch), 0.0, np.cos(pitch)]])
+
+    def placed(hip: float) -> tuple[FloatArray, FloatArray, float]:
+        wanted[2:, 1] = hip
+        q = np.clip(wanted, low + INSIDE, high - INSIDE)
+        data.qpos[model.jnt_qposadr[legs.joints]] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        points = (data.geom_xpos[toes] - data.xpos[legs.base]) @ turn.T
+        centre = turn @ (data.subtree_com[legs.base] - data.xpos[legs.base])
+        return q, points, float(points[2:, 0].mean() - centre[0])
+
+    if pose == "upright":
+        hips = np.linspace(low[2, 1] + INSIDE, high[2, 1] - INSIDE, 40)
+        off = np.array([placed(hip)[2] for hip in hips])
+        turns = np.flatnonzero(np.diff(np.sign(off)))
+        if not len(turns):
+            raise AssetError(
+                "the hind toes do not come under the centre of mass of the upright robot: it cannot stand so"
+            )
+        at = min(turns, key=lambda i: abs(hips[i] - hind_hip))
+        hind_hip = float(brentq(lambda hip: placed(hip)[2], hips[at], hips[at + 1]))  # type: ignore[arg-type]
+    q, points, _ = placed(hind_hip)
+    return q.reshape(-1), radius - float(points[:, 2].min())
+
+
+def _written(own: Mapping[str, Any], name: str) -> tuple[str, int]:
+    """Return robot.toml, and how many of its numbers are guessed."""
+    raw: dict[str, Any] = from_toml(read_text(shipped("assets") / "go2" / FILE))
+    theirs = load_description("go2")
+    toe = np.array(own["toe.position"])
+    torque = np.array(own.get("motor.torque_max", raw["motor"]["torque_max"]))
+    scale = {
+        "legs": float((own["hip.length"] + np.linalg.norm(toe)) / (theirs.leg.thigh + np.linalg.norm(theirs.leg.toe))),
+        "upright": own["pose.upright"]["z"] / theirs.pose_height["upright"],
+        "lying": own["pose.lie"]["z"] / theirs.pose_height["lie"],
+        "torque": float(np.mean(torque / raw["motor"]["torque_max"])),
+    }
+    factor = {key: (kind, scale[kind]) for kind, keys in SCALED.items() for key in keys}
+    raw.pop("name")
+    raw.pop("head")
+    raw.pop("contact")
+    named = [key.split(".") for key in own if key.startswith("model.")]
+    raw["model"] = {key[1]: None for key in named if len(key) == 2}
+    raw["model.shapes"] = {key[2]: None for key in named if len(key) == 3}
+    lines = [f"# {name}: written by mimic robot new. SI units.", f"name = {json.dumps(name)}"]
+    guessed = 0
+    for table, content in raw.items():
+        for entries in content if isinstance(content, list) else [content]:
+            lines += ["", f"[[{table}]]" if isinstance(content, list) else f"[{table}]"]
+            for key, value in entries.items():
+                if key in UNUSED.get(table, ()):
+                    continue
+                full = f"{table}.{key}"
+                kind, by = factor.get(full, ("", 1.0))
+                guessed += full not in own
+                mark = DERIVED if full in own else GUESSED.format(f", scaled with {kind}" if kind else "")
+                lines.append(f"{key} = {_toml(own.get(full, _times(value, by)))}  # {mark}")
+    return "\n".join(lines) + "\n", guessed
+
+
+def _times(value: Any, by: float) -> Any:
+    return value if by == 1.0 else np.multiply(value, by)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{key} = {_toml(one)}' for key, one in value.items())} }}"
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return f"[{', '.join(map(_toml, value))}]"
+    return f"{float(value):.9g}" if isinstance(value, (float, np.floating)) else json.dumps(value)

@@ -1,0 +1,77 @@
+"""A robot's folder that is written from its MJCF."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from mimic.cli import main
+from mimic.errors import AssetError, ConfigError
+from mimic.flows.new_robot import new_robot
+from mimic.io.assets import shipped
+from mimic.robot.description import load_description
+from mimic.robot.goals import draw_goals
+
+
+@pytest.mark.parametrize("name", ["go2", "cyberdog2"])
+def test_the_numbers_of_a_shipped_model_are_found_again(name, tmp_path):
+    theirs = load_description(name)
+    found, guessed = new_robot(theirs.mjcf, tmp_path / "again")
+    text = (tmp_path / "again" / "robot.toml").read_text(encoding="utf-8")
+    assert guessed == text.count("# GUESSED") > 0
+    assert np.allclose(found.leg.origin, theirs.leg.origin, atol=1e-6)
+    assert found.leg.thigh == pytest.approx(theirs.leg.thigh)
+    assert np.allclose(found.leg.toe, theirs.leg.toe, atol=1e-6)
+    assert found.toe_radius == theirs.toe_radius
+    assert np.all(found.q_min >= theirs.q_min - 1e-6)
+    assert np.all(found.q_max <= theirs.q_max + 1e-6)
+    assert np.allclose(found.armature, theirs.armature)
+    assert draw_goals(found, 20, np.random.default_rng(0)).shape == (20, 2, 3)
+
+
+def test_the_heights_and_the_upright_pose_of_a_go2_are_those_that_were_found_by_hand(tmp_path):
+    theirs = load_description("go2")
+    found, _ = new_robot(theirs.mjcf, tmp_path / "again")
+    for pose in ("lie", "four", "upright"):
+        assert found.pose_height[pose] == pytest.approx(theirs.pose_height[pose], abs=1e-3)
+        assert np.allclose(found.poses[pose], theirs.poses[pose], atol=5e-3)
+
+
+def test_the_command_says_what_was_guessed_and_what_to_do_next(tmp_path, capsys):
+    out = tmp_path / "mine"
+    assert main(["robot", "new", str(load_description("go2").mjcf), "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"guessed .* \d+ numbers", said)
+    assert f"--robot-model {out}" in said.splitlines()[-1]
+    assert load_description(out).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda spec: spec.delete(spec.body("RR_knee")), "11 hinges in 4 chains; expected four legs of three joints"),
+        (lambda spec: spec.delete(spec.geom("FL_toe")), "has no ball at the toe of FL"),
+        (lambda spec: setattr(spec.joint("FL_knee"), "name", "elbow"), "expected names that differ by FL, FR, RL, RR"),
+        (lambda spec: setattr(spec.joint("FL_knee"), "axis", [0, 0, 1]), r"FL_knee' must turn about"),
+    ],
+)
+def test_a_model_of_another_kind_is_refused_and_nothing_is_left(change, said, tmp_path):
+    spec = mujoco.MjSpec.from_file(str(load_description("go2").mjcf))
+    for part in (*spec.actuators, *spec.sensors, *spec.keys, *spec.excludes):
+        spec.delete(part)
+    change(spec)
+    file = tmp_path / "other.xml"
+    spec.compile()
+    file.write_text(spec.to_xml(), encoding="utf-8")
+    with pytest.raises(AssetError, match=said):
+        new_robot(file, tmp_path / "robot")
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_folder_that_is_there_is_kept(tmp_path):
+    with pytest.raises(ConfigError, match="exists; name another folder"):
+        new_robot(Path(shipped("assets") / "go2" / "go2.xml"), tmp_path)
