@@ -17,7 +17,7 @@ from mimic.config.text_file import from_toml, read_text
 from mimic.errors import AssetError, ConfigError
 from mimic.io import store
 from mimic.io.assets import shipped
-from mimic.records import LEGS, FloatArray
+from mimic.records import LEGS, FloatArray, IntArray
 from mimic.robot.description import FILE, RobotDescription, load_description
 from mimic.robot.model import leave_out, name_shapes, read_model
 
@@ -109,32 +109,41 @@ def _torques(spec: Any) -> dict[str, float]:
 
 
 def _legs(model: mujoco.MjModel, mjcf: Path) -> _Legs:
+    links, joints = _chains(model, mjcf)
+    known = []
+    for row, on in zip(links, joints, strict=True):
+        known.append([model.body(b).name for b in row] + [model.joint(j).name for j in on])
+    for names in LEG_NAMES:
+        patterns = [name.replace(names[0], "{leg}") for name in known[0]]
+        expected = [[pattern.replace("{leg}", leg) for pattern in patterns] for leg in names]
+        if expected == known:
+            return _Legs(joints=joints, links=links, base=int(model.body_parentid[links[0, 0]]), names=names)
+    raise AssetError(
+        f"{mjcf} calls its joints {', '.join(known[0][3:])} …; expected names that differ by FL, FR, RL, RR or such"
+    )
+
+
+def _chains(model: mujoco.MjModel, mjcf: Path) -> tuple[IntArray, IntArray]:
+    """Return links and joints of each leg (4, 3), in the order of LEGS."""
     hinges = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
     of_body = {int(model.jnt_bodyid[j]): j for j in hinges}
     first = [body for body in of_body if int(model.body_parentid[body]) not in of_body]
     chains = [[body for body in of_body if _ancestor(model, body, start)] for start in first]
-    if len(hinges) != 12 or len(chains) != 4 or any(len(chain) != 3 for chain in chains):
+    if len(hinges) != 12 or [len(chain) for chain in chains] != [3] * 4:
         raise AssetError(f"{mjcf} has {len(hinges)} hinges in {len(chains)} chains; expected four legs of three joints")
-    place = {
-        ("F" if model.body_pos[c[0]][0] > 0 else "R") + ("L" if model.body_pos[c[0]][1] > 0 else "R"): c for c in chains
-    }
+    place = {_corner(model, chain[0]): chain for chain in chains}
     if set(place) != set(LEGS):
         raise AssetError(
             f"{mjcf} has legs at {', '.join(sorted(place))}; expected one at each corner, x forward, y left"
         )
     links = np.array([place[leg] for leg in LEGS])
-    joints = np.vectorize(of_body.get)(links)
-    known = [
-        [model.body(b).name for b in row] + [model.joint(j).name for j in on]
-        for row, on in zip(links, joints, strict=True)
-    ]
-    for names in LEG_NAMES:
-        patterns = [name.replace(names[0], "{leg}") for name in known[0]]
-        if all([p.replace("{leg}", leg) for p in patterns] == row for leg, row in zip(names, known, strict=True)):
-            return _Legs(joints=joints, links=links, base=int(model.body_parentid[links[0, 0]]), names=names)
-    raise AssetError(
-        f"{mjcf} calls its joints {', '.join(known[0][3:])} …; expected names that differ by FL, FR, RL, RR or such"
-    )
+    return links, np.vectorize(of_body.get)(links)
+
+
+def _corner(model: mujoco.MjModel, body: int) -> str:
+    """Return at which corner a leg is, by its first link: FL, FR, RL or RR."""
+    x, y, _ = model.body_pos[body]
+    return ("F" if x > 0 else "R") + ("L" if y > 0 else "R")
 
 
 def _ancestor(model: mujoco.MjModel, body: int, wanted: int) -> bool:

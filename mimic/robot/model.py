@@ -52,10 +52,7 @@ def read_model(description: RobotDescription, *, floor: bool = False, checked: b
         _check_numbers(description)
     names = description.names
     path = description.scene if floor and description.scene is not None else description.mjcf
-    try:
-        spec: Any = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, OSError) as reason:
-        raise AssetError(f"{path} is not an MJCF that MuJoCo reads: {' '.join(str(reason).split())}") from None
+    spec = _parsed(path)
     make_room(spec)
     own = [names.of_leg(name, leg) for leg in LEGS for name in names.joints] == list(JOINTS)
     if not (own and all(a.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR for a in spec.actuators)):
@@ -82,12 +79,23 @@ def read_model(description: RobotDescription, *, floor: bool = False, checked: b
     if not spec.actuators:
         _add_motors(spec, description)
     if floor:
-        spec.option.disableflags &= ~int(
-            mujoco.mjtDisableBit.mjDSBL_CONTACT
-        )  # models of suspended robots lack contacts
-        if description.scene is None:
-            spec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], priority=1)
+        contacts_off = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        spec.option.disableflags &= ~contacts_off  # models of suspended robots lack contacts
+    if floor and description.scene is None:
+        spec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], priority=1)
     return spec
+
+
+def _parsed(path: Path) -> Any:
+    """Return a file as a MuJoCo specification (MjSpec).
+
+    Raises:
+        AssetError: If it is no MJCF.
+    """
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except (ValueError, OSError) as reason:
+        raise AssetError(f"{path} is not an MJCF that MuJoCo reads: {' '.join(str(reason).split())}") from None
 
 
 _NO_SETTINGS = {"alt", "classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature"}
