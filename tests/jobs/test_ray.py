@@ -69,5 +69,5 @@ def test_without_ray_the_extra_is_named(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtra, match="which is not installed: pip install 'ray>="):
+    with pytest.raises(MissingExtra, match="which is not installed: pip install 'ray"):
         next(results_on_ray(where, [0.0], address="auto"))

@@ -70,7 +70,7 @@ def test_several_people_are_said_and_one_can_be_chosen(tmp_path):
 def test_without_ezc3d_the_extra_is_named(tmp_path, monkeypatch):
     path = write(tmp_path / "walk.c3d")
     monkeypatch.setitem(sys.modules, "ezc3d", None)
-    with pytest.raises(MissingExtra, match="which is not installed: pip install 'ezc3d>="):
+    with pytest.raises(MissingExtra, match="which is not installed: pip install 'ezc3d"):
         track_mocap(path, MocapSettings(), PoseSettings())
 
 

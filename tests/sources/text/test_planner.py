@@ -339,7 +339,7 @@ def test_without_the_client_the_extra_is_named(reach, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "openai", None)
-    with pytest.raises(MissingExtra, match="which is not installed: pip install 'openai>="):
+    with pytest.raises(MissingExtra, match="which is not installed: pip install 'openai"):
         plan(SENTENCE, reach, LanguageSettings(llm_model="some"))
 
 
