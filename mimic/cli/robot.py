@@ -92,9 +92,8 @@ def play_on_robot(
     show_figures(done.saved, name if camera is None else f"camera {camera}", rows, _timing_rows(done))
     if done.camera is not None and done.camera.error is not None:
         warn(str(done.camera.error))
-    status = _report_end(done)
     open_scene(done.saved.folder, view)
-    return status
+    return _report_end(done)  # how the robot was left is the last line
 
 
 def _report_end(done: RobotRun) -> int:

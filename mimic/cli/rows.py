@@ -46,9 +46,9 @@ def show_simulated(saved: SavedRun, title: str, view: bool | None, rows: dict[st
     result = saved.run.result
     if result.error is not None:
         raise result.error
+    open_scene(saved.folder, view)
     if saved.run.shortfall is not None:
         warn(f"stopped: {saved.run.shortfall}")
-    open_scene(saved.folder, view)
     return STOPPED if saved.run.shortfall is not None or result.interrupted else DONE
 
 
