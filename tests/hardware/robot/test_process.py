@@ -280,11 +280,18 @@ def test_a_sender_that_breaks_anywhere_ends_with_a_status_and_the_robot_damped(
     script = tmp_path / "breaks"
     script.write_text(BREAKS.format(python=sys.executable, path=sys.path, kind=kind, name=name, when=when))
     script.chmod(0o755)
-    with monkeypatch.context() as patched:
-        patched.setattr(process.sys, "executable", str(script))
-        link = SenderProcess(motors.settings, description)
-    plant = Robot(link, description)
-    q = driven(plant, motors)
+    for attempts_left in (2, 1, 0):
+        with monkeypatch.context() as patched:
+            patched.setattr(process.sys, "executable", str(script))
+            link = SenderProcess(motors.settings, description)
+        plant = Robot(link, description)
+        try:
+            q = driven(plant, motors)
+            break
+        except SenderError as reason:  # this computer was busy for longer than a sender waits
+            plant.close()
+            if not attempts_left or "no order for" not in str(reason):
+                raise
     if alone:
         link._ours.close()  # as if this process were killed
     else:
