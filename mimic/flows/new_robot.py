@@ -21,7 +21,8 @@ from mimic.records import LEGS, FloatArray, IntArray
 from mimic.robot.description import FILE, RobotDescription, load_description
 from mimic.robot.model import leave_out, name_shapes, read_model
 
-LEG_NAMES = (LEGS, tuple(leg.lower() for leg in LEGS), ("LF", "RF", "LH", "RH"), ("lf", "rf", "lh", "rh"))
+_UPPER_NAMES = (LEGS, ("FL", "FR", "HL", "HR"), ("LF", "RF", "LH", "RH"))
+LEG_NAMES = (*_UPPER_NAMES, *(tuple(leg.lower() for leg in names) for names in _UPPER_NAMES))
 """What models call their legs, in the order of LEGS."""
 INSIDE = 0.05
 """Distance of the poses from the joint limits [rad]."""
@@ -259,15 +260,19 @@ def _extent(model: mujoco.MjModel, data: mujoco.MjData, base: int, names: list[s
 def _pose(
     model: mujoco.MjModel, legs: _Legs, toes: list[int], radius: float, pose: str, pitch: float
 ) -> tuple[FloatArray, float]:
-    """Return joints (12,) [rad] and height [m] of a pose; an upright robot's hind toes are under its centre of mass."""
+    """Return joints (12,) [rad] and height [m] of a pose.
+
+    An upright robot's hind toes are under its centre of mass, and a thigh's length or more below its hips.
+    """
     fore_hip, fore_knee, hind_hip, hind_knee = POSES[pose]
     wanted = np.array([[0.0, fore_hip, fore_knee]] * 2 + [[0.0, hind_hip, hind_knee]] * 2)
     low, high = np.moveaxis(model.jnt_range[legs.joints], -1, 0)
     data = mujoco.MjData(model)
     turn = np.array([[np.cos(pitch), 0.0, np.sin(-pitch)], [0.0, 1.0, 0.0], [np.sin(pitch), 0.0, np.cos(pitch)]])
 
-    def placed(hip: float) -> tuple[FloatArray, FloatArray, float]:
-        wanted[2:, 1] = hip
+    def placed(hip: float, knee: float) -> tuple[FloatArray, FloatArray, float]:
+        """Return joints (4, 3) [rad], toes (4, 3) [m], and how far hind toes are before the centre of mass [m]."""
+        wanted[2:, 1:] = hip, knee
         q = np.clip(wanted, low + INSIDE, high - INSIDE)
         data.qpos[model.jnt_qposadr[legs.joints]] = q
         mujoco.mj_kinematics(model, data)
@@ -276,17 +281,34 @@ def _pose(
         centre = turn @ (data.subtree_com[legs.base] - data.xpos[legs.base])
         return q, points, float(points[2:, 0].mean() - centre[0])
 
-    if pose == "upright":
+    def standing_hips(knee: float) -> list[float]:
+        """Return hind hips [rad] whose toes are under the centre of mass."""
         hips = np.linspace(low[2, 1] + INSIDE, high[2, 1] - INSIDE, 40)
-        off = np.array([placed(hip)[2] for hip in hips])
+        off = np.array([placed(hip, knee)[2] for hip in hips])
         turns = np.flatnonzero(np.diff(np.sign(off)))
-        if not len(turns):
+        found = [brentq(lambda hip: placed(hip, knee)[2], hips[at], hips[at + 1]) for at in turns]
+        return [hip for hip in found if below_the_hips(placed(hip, knee)[1])]
+
+    def below_the_hips(points: FloatArray) -> bool:
+        hips = (data.xpos[legs.links[2:, 1]] - data.xpos[legs.base]) @ turn.T
+        length = np.linalg.norm(data.xpos[legs.links[2, 1]] - data.xpos[legs.links[2, 2]])
+        return bool((points[2:, 2] < hips[:, 2] - length).all())
+
+    if pose == "upright":
+        knees = np.linspace(low[2, 2] + INSIDE, high[2, 2] - INSIDE, 40)
+        for knee in (hind_knee, *sorted(knees, key=lambda knee: abs(knee - hind_knee))):
+            standing = standing_hips(knee)
+            if standing:
+                hind_hip = min(standing, key=lambda hip: abs(hip - hind_hip))
+                hind_knee = knee
+                break
+        else:
             raise AssetError(
-                "the hind toes do not come under the centre of mass of the upright robot: it cannot stand so"
+                "the hind toes do not come under the centre of mass of the upright robot: it cannot stand so; its hind "
+                f"hips turn from {low[2, 1]:.2f} to {high[2, 1]:.2f} rad and its knees from {low[2, 2]:.2f} to "
+                f"{high[2, 2]:.2f} rad; if those are not its limits, mend the range of these joints in the MJCF"
             )
-        at = min(turns, key=lambda i: abs(hips[i] - hind_hip))
-        hind_hip = float(brentq(lambda hip: placed(hip)[2], hips[at], hips[at + 1]))  # type: ignore[arg-type]
-    q, points, _ = placed(hind_hip)
+    q, points, _ = placed(hind_hip, hind_knee)
     return q.reshape(-1), radius - float(points[:, 2].min())
 
 

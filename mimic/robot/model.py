@@ -156,7 +156,10 @@ def name_shapes(spec: Any) -> None:
 
 
 def leave_out(spec: Any, path: Path) -> None:
-    """Remove what refers to names that change, or that mimic has of its own, and shapes whose files may be missing."""
+    """Remove what refers to names that change, or that mimic has of its own, and shapes whose files may be missing.
+
+    Hinges about an axis that points backward, right or down are turned, so that their angles change sign.
+    """
     meshes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     parts = {
         "actuators": spec.actuators,
@@ -168,6 +171,18 @@ def leave_out(spec: Any, path: Path) -> None:
     _tell(path, ", ".join(f"{len(found)} {name}" for name, found in parts.items() if found))
     for part in [part for found in (*parts.values(), spec.meshes) for part in list(found)]:
         spec.delete(part)
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE and np.sum(joint.axis) < 0.0:
+            _turn(joint)
+
+
+def _turn(joint: Any) -> None:
+    """Let a hinge turn the other way about its axis, with the same motion of the robot."""
+    joint.axis = -joint.axis
+    joint.range = -joint.range[::-1]
+    joint.actfrcrange = -joint.actfrcrange[::-1]
+    joint.ref = -joint.ref
+    joint.springref = -joint.springref
 
 
 def _order_legs(spec: Any, description: RobotDescription) -> None:

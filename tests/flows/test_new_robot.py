@@ -15,6 +15,7 @@ from mimic.flows.new_robot import new_robot
 from mimic.io.assets import shipped
 from mimic.robot.description import load_description
 from mimic.robot.goals import draw_goals
+from mimic.robot.model import read_model
 
 
 @pytest.mark.parametrize("name", ["go2", "cyberdog2"])
@@ -50,9 +51,55 @@ def test_the_command_says_what_was_guessed_and_what_to_do_next(tmp_path, capsys)
     assert load_description(out).name == "mine"
 
 
+def plain_go2():
+    """Return the Go2's MJCF without what names its motors."""
+    spec = mujoco.MjSpec.from_file(str(load_description("go2").mjcf))
+    for part in (*spec.actuators, *spec.sensors, *spec.keys, *spec.excludes, *spec.pairs):
+        spec.delete(part)
+    return spec
+
+
+def saved(spec, folder):
+    file = folder / "other.xml"
+    spec.compile()
+    file.write_text(spec.to_xml(), encoding="utf-8")
+    return file
+
+
+def test_joints_that_turn_the_other_way_and_legs_of_other_names_make_the_same_robot(tmp_path):
+    straight, _ = new_robot(saved(plain_go2(), tmp_path), tmp_path / "straight")
+    spec = plain_go2()
+    for joint in spec.joints:
+        if "hip" in joint.name or "knee" in joint.name:
+            joint.axis = [0, -1, 0]
+            joint.range = -joint.range[::-1]
+    for part in (*spec.joints, *spec.geoms, *spec.sites, *spec.bodies[1:]):
+        part.name = part.name.replace("RL", "hl").replace("RR", "hr").replace("FL", "fl").replace("FR", "fr")
+    turned, _ = new_robot(saved(spec, tmp_path), tmp_path / "turned")
+    assert turned.names.legs == ("fl", "fr", "hl", "hr")
+    for pose in ("lie", "four", "upright"):
+        assert np.allclose(turned.poses[pose], straight.poses[pose], atol=1e-6)
+    q = np.random.default_rng(1).uniform(straight.q_min, straight.q_max)
+    assert np.allclose(simulated_toes(turned, q), simulated_toes(straight, q), atol=1e-6)
+
+
+def simulated_toes(description, q):
+    model = read_model(description).compile()
+    data = mujoco.MjData(model)
+    data.qpos[-12:] = q
+    mujoco.mj_kinematics(model, data)
+    return data.site_xpos
+
+
+def too_stiff(spec):
+    for leg in ("RL", "RR"):
+        spec.joint(f"{leg}_hip").range = [-1.57, 1.57]
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
+        (too_stiff, r"cannot stand so; its hind hips turn from -1.57 to 1.57 rad"),
         (lambda spec: spec.delete(spec.body("RR_knee")), "11 hinges in 4 chains; expected four legs of three joints"),
         (lambda spec: spec.delete(spec.geom("FL_toe")), "has no ball at the toe of FL"),
         (lambda spec: setattr(spec.joint("FL_knee"), "name", "elbow"), "expected names that differ by FL, FR, RL, RR"),
@@ -60,13 +107,9 @@ def test_the_command_says_what_was_guessed_and_what_to_do_next(tmp_path, capsys)
     ],
 )
 def test_a_model_of_another_kind_is_refused_and_nothing_is_left(change, said, tmp_path):
-    spec = mujoco.MjSpec.from_file(str(load_description("go2").mjcf))
-    for part in (*spec.actuators, *spec.sensors, *spec.keys, *spec.excludes):
-        spec.delete(part)
+    spec = plain_go2()
     change(spec)
-    file = tmp_path / "other.xml"
-    spec.compile()
-    file.write_text(spec.to_xml(), encoding="utf-8")
+    file = saved(spec, tmp_path)
     with pytest.raises(AssetError, match=said):
         new_robot(file, tmp_path / "robot")
     assert list(tmp_path.iterdir()) == [file]
