@@ -245,7 +245,7 @@ class LearnSettings:
     """Spread of the actions with which a training goes on from a policy (.onnx)."""
     critic_updates: int = 250
     """Updates in which only the critic learns, where a training goes on from a policy (.onnx), which has none. After 40
-    to 60 the toe error rose by up to 0.9 cm at first, after 250 by 0.2 (lab/results/senses.md)."""
+    to 60 the toe error rose by up to 0.9 cm at first, after 250 by 0.2 (lab/results/training.md)."""
     hidden: tuple[int, ...] = (512, 256, 128)
     """Widths of the hidden layers, policy and critic alike."""
     mirror: float = 0.2
