@@ -21,6 +21,7 @@ import numpy as np
 from mimic.config.text_file import from_json, read_text
 from mimic.errors import CalibrationError
 from mimic.io.assets import manual
+from mimic.io.lerobot_log import is_dataset, read_dataset
 from mimic.io.reading import check_clock
 from mimic.io.store import plain, written_whole
 from mimic.records import BoolArray, FloatArray, IntArray
@@ -114,7 +115,7 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
     """Read a Parquet or CSV log.
 
     Args:
-        path: The file, or a run folder that holds ``joints.parquet``.
+        path: The file, a run folder that holds ``joints.parquet``, or a LeRobot dataset.
         notes: Metadata that overrides that of the file and the one beside it.
 
     Raises:
@@ -127,15 +128,22 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
         inside = path / "joints.parquet"
         if inside.exists():
             return read_log(inside, notes)
-        raise CalibrationError(
-            f"{path} is a folder without joints.parquet; give a log (.parquet or .csv) or a run folder"
-        )
-    columns, metadata = _read_csv(path) if path.suffix.lower() == ".csv" else _read_parquet(path)
+        if not is_dataset(path):
+            raise CalibrationError(
+                f"{path} is a folder without joints.parquet; give a log (.parquet or .csv), a run folder or a LeRobot "
+                "dataset"
+            )
+        columns, metadata = {}, {}
+    else:
+        columns, metadata = _read_csv(path) if path.suffix.lower() == ".csv" else _read_parquet(path)
     side = path.with_suffix(".json")
     if side.exists() and side != path:
         metadata = {**metadata, **_notes(read_text(side), f"{side} beside the log")}
     if notes:
         metadata = {**metadata, **_notes(json.dumps(notes), f"what is said of {path}")}
+    if path.is_dir():
+        columns = read_dataset(path, metadata)
+        metadata = {**metadata, UNITS: "rad"}
     if "t" not in columns:
         raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See {manual('log-format.md')}")
     joints = tuple(name[2:] for name in columns if name.startswith("q."))

@@ -62,7 +62,10 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, as hexadecimal digits."""
+    """Return the SHA-256 of a file's bytes, or of those of all Parquet files in a folder, as hexadecimal digits."""
+    if path.is_dir():
+        own = "".join(sha256_of(file) for file in sorted(path.rglob("*.parquet")))
+        return hashlib.sha256(own.encode()).hexdigest()
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
