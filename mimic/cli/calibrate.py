@@ -21,6 +21,7 @@ def calibrate(
     model: Path | None = None,
     held_out: tuple[Path, ...] = (),
     note: tuple[str, ...] = (),
+    compare: Path | None = None,
     out: o.Out = None,
     settings: o.Calibrate = None,
 ) -> int:
@@ -37,17 +38,46 @@ def calibrate(
         Logs of the same machine that are predicted, not fitted.
     note
         Extra metadata: KEY=VALUE for all logs, FILE:KEY=VALUE for one, such as kp=20 or b.csv:payload=0.5.
+    compare
+        Log of another unit of the machine: say which effect differs between the two. Nothing is written.
     out
         Folder for report.html, calibration.json and effects.toml; default: calibration/NAME.
     """
     from mimic.flows.calibrate import EFFECTS, REPORT, RESULT
     from mimic.flows.calibrate import calibrate as explain
 
+    if compare is not None:
+        return _compare(logs, compare, model, settings, note)
     folder = out or Path("calibration") / (logs[0].stem if logs else "log")
     result = explain(list(logs), model, settings, held_out=held_out, notes=note, out=folder, reporter=ConsoleReporter())
     files = [folder / name for name in (REPORT, RESULT, EFFECTS)]
     _show(result, [file for file in files if file.exists()])
     return DONE if result.log_matches_model else USER_ERROR
+
+
+def _compare(
+    logs: Sequence[Path], other: Path, model: Path | None, settings: o.Calibrate, notes: tuple[str, ...]
+) -> int:
+    """Print how two units differ."""
+    from mimic.errors import ConfigError
+    from mimic.flows.compare_units import compare
+    from mimic.view.report.svg import number
+
+    if len(logs) != 1:
+        raise ConfigError(f"--compare compares two logs, and {len(logs)} are given beside it; give one")
+    differences = compare(logs[0], other, model, settings, notes=notes, reporter=ConsoleReporter())
+    rows = {
+        f"{one.effect}.{one.parameter} {one.joint}".strip(): {
+            logs[0].stem: f"{number(one.first)} {one.unit}".strip(),
+            other.stem: f"{number(one.second)} {one.unit}".strip(),
+            "standard errors": f"{one.z:+.1f}",
+        }
+        for one in differences
+    }
+    matrix("Effects of both units", rows, as_is=True)
+    sure = [name for name, one in zip(rows, differences, strict=True) if one.sure]
+    console.print(f"The units differ in {', '.join(sure)}." if sure else "Nothing differs that noise does not explain.")
+    return DONE
 
 
 def _show(result: Calibration, written: list[Path]) -> None:

@@ -1,0 +1,62 @@
+"""Which effect differs between two units of one machine."""
+
+from __future__ import annotations
+
+import pytest
+
+from mimic.cli import main
+
+PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body name="link">
+<joint name="hinge" axis="0 1 0" range="-1.2 1.2" damping="0.02"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.8"/></body></worldbody>
+<actuator><position joint="hinge" kp="30" kv="1.5"/></actuator></mujoco>"""
+
+UNIT = """[[effect]]
+name = "coulomb"
+joints = ["hinge"]
+level = {friction}
+
+[[effect]]
+name = "spring"
+joints = ["hinge"]
+stiffness = {stiffness}
+"""
+
+
+@pytest.fixture
+def unit(tmp_path, monkeypatch):
+    """Return a function that writes the log of a unit."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.xml").write_text(PENDULUM)
+
+    def write(name, friction, stiffness, seed):
+        (tmp_path / "hidden.toml").write_text(UNIT.format(friction=friction, stiffness=stiffness))
+        made = ["log", "simulate", "--model", "robot.xml", "--effects", "hidden.toml", "--seed", str(seed)]
+        assert main([*made, "--seconds", "10", "--timestep", "0.001", "-o", f"{name}.parquet"]) == 0
+
+    return write
+
+
+def compared(capsys, *options):
+    search = ("--no-torque", "--effects", "spring", "--timestep", "0.005", "--model", "robot.xml")
+    status = main(["calibrate", "a.parquet", "--compare", "b.parquet", *search, *options])
+    said = capsys.readouterr()
+    return status, said.out + said.err
+
+
+@pytest.mark.slow
+def test_the_effect_that_differs_is_named_and_the_one_that_both_have_is_not(unit, capsys, tmp_path):
+    unit("a", friction=0.2, stiffness=2.0, seed=1)
+    unit("b", friction=0.3, stiffness=2.0, seed=2)
+    status, said = compared(capsys)
+    assert status == 0
+    assert said.splitlines()[-1] == "The units differ in coulomb.level hinge."
+    assert "spring.stiffness" in said
+    assert not (tmp_path / "calibration").exists()
+
+
+def test_two_logs_beside_the_other_unit_are_refused(unit, capsys):
+    unit("a", friction=0.2, stiffness=2.0, seed=1)
+    status, said = compared(capsys, "a.parquet")
+    assert status == 2
+    assert "--compare compares two logs, and 2 are given beside it; give one" in said
