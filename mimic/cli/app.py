@@ -131,7 +131,7 @@ COMMANDS = {
         "Evaluate a policy over many episodes.",
         "mimic evaluate",
         "mimic evaluate sit_down",
-        "mimic evaluate out/policy.onnx table",
+        "mimic evaluate out/policy.onnx",
     ),
     "train": (
         "mimic.cli.train:train",

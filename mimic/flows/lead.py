@@ -66,8 +66,7 @@ def lead(
         NoOffscreenGL: If there is no off-screen rendering for the film.
     """
     from mimic.evaluation.episode import OF_EPISODES
-    from mimic.evaluation.leading import lead_robot
-    from mimic.evaluation.led_by_hand import lead_figures
+    from mimic.evaluation.leading import lead_figures, lead_robot
     from mimic.policy.runtime import load_policy
     from mimic.simulation.hand import Hand
     from mimic.simulation.plant import SimulatedPlant, plant_options
