@@ -146,11 +146,7 @@ class EmulatorServer:
 
     def turn(self) -> None:
         """Wait until something is due, at most 10 ms, and do it."""
-        anybody = any(client.host is not None for client in self._clients)
-        left = self.robot.next_event - self._time() if anybody else LONGEST_SLEEP
-        reading = [self._listening.fileno(), *(client.file for client in self._clients)]
-        writing = [client.file for client in self._clients if client.waiting]
-        ready, writable, _ = select.select(reading, writing, [], min(max(left, GRAIN), LONGEST_SLEEP))
+        ready, writable = self._await_due()
         self._keep_up()
         if self._listening.fileno() in ready:
             self._accept()
@@ -160,10 +156,21 @@ class EmulatorServer:
         self._hand_out()
         for client in [c for c in self._clients if c.file in writable or c.waiting]:
             self._write(client)
-        for client in [c for c in self._clients if c.host is not None and c.host.bus is not None]:
-            assert client.host is not None
-            assert client.host.bus is not None
-            if self.robot.unplugged(client.host.bus):
+        self._drop_unplugged()
+
+    def _await_due(self) -> tuple[list[int], list[int]]:
+        """Wait until the robot has something to send or a client does something; return who can be read and written."""
+        anybody = any(client.host is not None for client in self._clients)
+        left = self.robot.next_event - self._time() if anybody else LONGEST_SLEEP
+        reading = [self._listening.fileno(), *(client.file for client in self._clients)]
+        writing = [client.file for client in self._clients if client.waiting]
+        ready, writable, _ = select.select(reading, writing, [], min(max(left, GRAIN), LONGEST_SLEEP))
+        return ready, writable
+
+    def _drop_unplugged(self) -> None:
+        for client in list(self._clients):
+            bus = None if client.host is None else client.host.bus
+            if bus is not None and self.robot.unplugged(bus):
                 self._drop(client)
 
     def _time(self) -> float:

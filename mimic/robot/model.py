@@ -18,6 +18,7 @@ from mimic.errors import AssetError
 from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import all_toes
+from mimic.robot.parts import ModelNames
 
 log = logging.getLogger(__name__)
 
@@ -59,10 +60,7 @@ def read_model(description: RobotDescription, *, floor: bool = False, checked: b
         leave_out(spec, path)
         _order_legs(spec, description)
     name_shapes(spec)
-    shapes = {geom.name for geom in spec.geoms}
-    missing = [shape for role in names.patterns for shape in names.shapes(role) if shape not in shapes]
-    if missing:
-        raise AssetError(f"{path} has no shape {missing[0]!r}; it has {', '.join(sorted(shapes - {''}))}")
+    _check_shapes(spec, names, path)
     base = _found(spec.body(names.base), "body", names.base, path)
     _rename_body(spec, base, BASE)
     if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in base.joints):
@@ -79,11 +77,28 @@ def read_model(description: RobotDescription, *, floor: bool = False, checked: b
     if not spec.actuators:
         _add_motors(spec, description)
     if floor:
-        contacts_off = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        spec.option.disableflags &= ~contacts_off  # models of suspended robots lack contacts
-    if floor and description.scene is None:
-        spec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], priority=1)
+        _put_on_floor(spec, add=description.scene is None)
     return spec
+
+
+def _check_shapes(spec: Any, names: ModelNames, path: Path) -> None:
+    """Refuse a model without a collision shape that the description names.
+
+    Raises:
+        AssetError: With the shapes that it has.
+    """
+    shapes = {geom.name for geom in spec.geoms}
+    named = [shape for role in names.patterns for shape in names.shapes(role)]
+    missing = [shape for shape in named if shape not in shapes]
+    if missing:
+        raise AssetError(f"{path} has no shape {missing[0]!r}; it has {', '.join(sorted(shapes - {''}))}")
+
+
+def _put_on_floor(spec: Any, *, add: bool) -> None:
+    contacts_off = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.option.disableflags &= ~contacts_off  # models of suspended robots lack contacts
+    if add:
+        spec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], priority=1)
 
 
 def _parsed(path: Path) -> Any:

@@ -110,7 +110,7 @@ def _hierarchy(words: _Words) -> list[_Joint]:
         kind = word.upper()
         if kind in ("ROOT", "JOINT"):
             joints.append(_Joint(words.next("a name"), open_ones[-1] if open_ones else -1))
-            while (more := words.next("{")) != "{":
+            for more in iter(lambda: words.next("{"), "{"):
                 joints[-1].name += f" {more}"
             open_ones.append(len(joints) - 1)
         elif kind == "END":
@@ -122,11 +122,8 @@ def _hierarchy(words: _Words) -> list[_Joint]:
             if open_ones and open_ones[-1] != end_site:
                 joints[open_ones[-1]].offset = offset
         elif kind == "CHANNELS":
-            for _ in range(int(words.number("the number of channels"))):
-                channel = words.next("a channel")
-                if channel.lower() not in _CHANNELS or not open_ones or open_ones[-1] == end_site:
-                    raise words.wrong(repr(channel), "a channel such as Xrotation inside a joint")
-                joints[open_ones[-1]].channels.append(_CHANNELS[channel.lower()])
+            inside = joints[open_ones[-1]] if open_ones and open_ones[-1] != end_site else None
+            _read_channels(words, inside)
         elif word == "}" and open_ones:
             open_ones.pop()
         elif kind == "MOTION" and not open_ones and joints:
@@ -136,11 +133,21 @@ def _hierarchy(words: _Words) -> list[_Joint]:
     raise words.wrong("the end of the file", "MOTION")
 
 
+def _read_channels(words: _Words, joint: _Joint | None) -> None:
+    for _ in range(int(words.number("the number of channels"))):
+        channel = words.next("a channel")
+        if channel.lower() not in _CHANNELS or joint is None:
+            raise words.wrong(repr(channel), "a channel such as Xrotation inside a joint")
+        joint.channels.append(_CHANNELS[channel.lower()])
+
+
 def _header(words: _Words) -> tuple[int, float]:
-    if (word := words.next("Frames:")).lower() != "frames:":
+    word = words.next("Frames:")
+    if word.lower() != "frames:":
         raise words.wrong(repr(word), "Frames:")
     announced = int(words.number("the number of frames"))
-    if (pair := f"{words.next('Frame')} {words.next('Time:')}").lower() != "frame time:":
+    pair = f"{words.next('Frame')} {words.next('Time:')}"
+    if pair.lower() != "frame time:":
         raise words.wrong(repr(pair), "Frame Time:")
     return announced, words.number("the time of a frame")
 
