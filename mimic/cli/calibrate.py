@@ -119,7 +119,8 @@ def _found(result: Calibration) -> dict[str, str]:
             continue
         parts = []
         for name, values in e.values.items():
-            low, high = number(float(values.min())), number(float(values.max()))
+            low = number(float(values.min()))
+            high = number(float(values.max()))
             span = low if low == high else f"{low} … {high}"
             parts.append(f"{name} {span} {unit_of(e.name, name, result.unit)}".strip())
         where = f" ({len(e.joints)} joints)" if len(e.joints) > 1 else f" ({e.joints[0]})" if e.joints else ""

@@ -30,9 +30,12 @@ SINKS_WITHIN = 0.2
 """A robot that sank has each joint within this of where its model does [rad]: with half and twice the dry friction, and
 on grounds from .2 to .8, within 0.11."""
 
-FIRST_MARK, MARK_STEP, LAST_MARK = 1.0, 0.37, 20.0
-"""Mark of the first homing, increase at each later one, and where it starts again. None is 0 or 2, which a motor may
-have at power-up."""
+FIRST_MARK = 1.0
+"""Mark of the first homing. No mark is 0 or 2, which a motor may have at power-up."""
+MARK_STEP = 0.37
+"""Increase at each later homing."""
+LAST_MARK = 20.0
+"""A larger mark starts again at the first."""
 
 
 def home(motor_bus: MotorBus, description: RobotDescription, before: Homing | None) -> tuple[Homing, FloatArray]:
@@ -131,7 +134,8 @@ def joint_angles(kept: FloatArray, modulo: FloatArray, description: RobotDescrip
         modulo: Angles up to whole rotor turns, of joints whose motor lost its zero (12,) [rad]; NaN where unknown.
         description: The robot. A joint of which nothing is known is assumed to be exactly in the lying pose.
     """
-    lie, turn = description.poses["lie"], 2 * np.pi / description.gear_ratio
+    lie = description.poses["lie"]
+    turn = 2 * np.pi / description.gear_ratio
 
     def near(pose: FloatArray) -> FloatArray:
         known = np.where(np.isnan(kept), modulo + turn * np.round((pose - modulo) / turn), kept)

@@ -184,7 +184,8 @@ class EmulatorServer:
 
     def status(self) -> EmulatorStatus:
         """Return the statistics since the last call."""
-        robot, (before, counts, late, stood_still) = self.robot, self._before
+        robot = self.robot
+        (before, counts, late, stood_still) = self._before
         span = max(robot.now - before, 1e-9)
         self._before = _, now, _, _ = self._totals()
         status = EmulatorStatus(
@@ -213,7 +214,8 @@ class EmulatorServer:
     def figures(self) -> dict[str, str]:
         """Return rows of a table of what has happened."""
         robot = self.robot
-        bits, frames = sum(bus.bits for bus in robot.buses), sum(bus.frames for bus in robot.buses)
+        bits = sum(bus.bits for bus in robot.buses)
+        frames = sum(bus.frames for bus in robot.buses)
         return {
             "frames": f"{frames}, {bits / max(frames, 1):.1f} bits each on average",
             "bus load": ", ".join(f"{robot.load(bus):.1%}" for bus in range(len(robot.buses))),
@@ -260,7 +262,8 @@ class EmulatorServer:
             client.quiet_until = self._time() + (QUIET if answer else 0.0)
         elif not session.open and client.host is not None:
             self.robot.disconnect(client.host)
-            client.host, client.waiting = None, b""
+            client.host = None
+            client.waiting = b""
             if client.terminal is not None:  # the next program does not read what was meant for this one
                 termios.tcflush(client.terminal, termios.TCIFLUSH)
         for frame in frames:
@@ -278,7 +281,8 @@ class EmulatorServer:
             while heard:
                 received = heard.popleft()
                 late = now - received.t
-                self.late, self._latest = self.late + (late > LATE), max(self._latest, late)
+                self.late = self.late + (late > LATE)
+                self._latest = max(self._latest, late)
                 parts.append(client.session.give(received.frame, received.t))
             client.waiting += b"".join(parts)
 

@@ -86,11 +86,15 @@ class HandLeading:
             settings: How it answers a pull.
             seconds: How long it may be led [s].
         """
-        self._estimator, self._toes = PullEstimator(description), toes
-        self._settings, self._dt, self._left = settings, description.dt, seconds
+        self._estimator = PullEstimator(description)
+        self._toes = toes
+        self._settings = settings
+        self._dt = description.dt
+        self._left = seconds
         self._pulls = np.zeros((2, 3))
         self._began: float | None = None
-        self._now, self._turned = 0.0, 0.0
+        self._now = 0.0
+        self._turned = 0.0
 
     @property
     def pull(self) -> FloatArray:
@@ -125,7 +129,8 @@ class HandLeading:
 
 def turned(vector: FloatArray, angle: float) -> tuple[float, float]:
     """Return a horizontal vector (2,) turned to the left by an angle [rad]."""
-    c, s = math.cos(angle), math.sin(angle)
+    c = math.cos(angle)
+    s = math.sin(angle)
     return float(c * vector[0] - s * vector[1]), float(s * vector[0] + c * vector[1])
 
 
@@ -168,7 +173,8 @@ def lead_robot(
 
 def lead_figures(result: RunResult, hand: Hand, settings: HandSettings) -> dict[str, Any]:
     """Return how a robot was led: way and pull while it was, speed when it was let go."""
-    log, force = result.log, np.linalg.norm(hand.force, axis=1) if hand.force else np.zeros(1)
+    log = result.log
+    force = np.linalg.norm(hand.force, axis=1) if hand.force else np.zeros(1)
     held = log.t[(log.t >= settings.begin) & (log.t < settings.end)]
     figures: dict[str, Any] = {
         "direction_deg": settings.direction,

@@ -62,7 +62,8 @@ def goal_path(goals: FloatArray, ticks: int, dt: float, description: RobotDescri
 def _spacious(goals: FloatArray, description: RobotDescription) -> FloatArray:
     """Return those goals (N, 2, 3) [m] whose joints keep SPARE more than the margin of goals from their limits."""
     joints = leg_joints(goals, description)[0].reshape(-1, FRONT)
-    q_min, q_max = description.q_min[:FRONT], description.q_max[:FRONT]
+    q_min = description.q_min[:FRONT]
+    q_max = description.q_max[:FRONT]
     return goals[np.minimum(joints - q_min, q_max - joints).min(axis=1) > MARGIN + SPARE]
 
 

@@ -26,8 +26,12 @@ from mimic.io import store
 from mimic.jobs.local import Progress
 from mimic.version import __version__
 
-ITEMS, SUMMARY, PAGE = "items", "summary.parquet", "summary.html"
-"""What is in the folder of a batch: a folder for each file, and the table twice."""
+ITEMS = "items"
+"""Folder, in that of a batch, with a folder for each file."""
+SUMMARY = "summary.parquet"
+"""Its table as Parquet."""
+PAGE = "summary.html"
+"""Its table as a page."""
 
 ROW: Mapping[str, type] = {
     "file": str,
@@ -270,7 +274,8 @@ def play_job(job: Job) -> dict[str, Any]:
 
 
 def _play(job: Job) -> dict[str, Any]:
-    silent, begin = SilentReporter(), time.perf_counter()
+    silent = SilentReporter()
+    begin = time.perf_counter()
     description = load_robot(job.robot.robot_model)
     motion = load_motion(job.source, job.settings, description=description, reporter=silent)
     done = play(motion, settings=job.run, effects=job.robot)

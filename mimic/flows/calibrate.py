@@ -23,8 +23,12 @@ if TYPE_CHECKING:
     from mimic.sysid.log.checks import LogCheck
     from mimic.sysid.result import Calibration
 
-REPORT, RESULT, EFFECTS = "report.html", "calibration.json", "effects.toml"
-"""Files of a calibration."""
+REPORT = "report.html"
+"""Report of a calibration."""
+RESULT = "calibration.json"
+"""Its figures."""
+EFFECTS = "effects.toml"
+"""Its effects, as simulation and training read them."""
 
 
 def calibrate(

@@ -199,7 +199,8 @@ def motion_from_text(
     """
     from mimic.sources.text.planner import describe, plan, uses_model
 
-    settings, reporter = input_settings(settings, changes), reporting(reporter)
+    settings = input_settings(settings, changes)
+    reporter = reporting(reporter)
     refuse_second_video(settings, "a sentence is none")
     loading = _Loading(settings=settings, reporter=reporter, description=description)
     reach = loading.reach()
@@ -239,7 +240,9 @@ def track_video(
     from mimic.sources.video.video import pose_cache_key
     from mimic.sources.video.video import track_video as track
 
-    path, settings, reporter = existing(video), settings or PoseSettings(), reporting(reporter)
+    path = existing(video)
+    settings = settings or PoseSettings()
+    reporter = reporting(reporter)
     if settings.also is not None:
         return _track_two(path, existing(settings.also), replace(settings, also=None), cache, reporter)
     if path.is_dir():
@@ -367,10 +370,14 @@ def _of_wrists(wrists: WristTrack, loading: _Loading) -> Motion:
 
 ACROSS = 0.4
 """A hand whose median is farther across [arm lengths] is in the place of the other hand, or given in other axes."""
-SPARSE, FARTHEST = (0.002, 10.0), 2.0
-"""Plausible times between two commands or targets [s], and the farthest that a toe can be from the base [m]."""
-LONGEST, FASTEST = (0.15, 1.6), 20.0
-"""Plausible lengths of an arm [m], and the speed that a hand seldom passes [arm lengths/s]: 12 m/s."""
+SPARSE = (0.002, 10.0)
+"""Plausible times between two commands or targets [s]."""
+FARTHEST = 2.0
+"""Farthest that a toe can be from the base [m]."""
+LONGEST = (0.15, 1.6)
+"""Plausible lengths of an arm [m]."""
+FASTEST = 20.0
+"""Speed that a hand seldom passes [arm lengths/s]: 12 m/s."""
 
 
 def _implausible(wrists: WristTrack) -> Iterator[str]:
@@ -445,7 +452,8 @@ def _read_keyframes(path: Path, loading: _Loading) -> Motion:
     from mimic.io.keyframes import read_keyframes
     from mimic.sources.text.planner import check
 
-    script, reach = read_keyframes(path), loading.reach()
+    script = read_keyframes(path)
+    reach = loading.reach()
     check(script, reach, loading.settings.language, f"{path.name} asks for what this robot cannot do")
     return _of_script(script, reach, loading)
 

@@ -28,7 +28,8 @@ INSIDE = 0.05
 """Distance of the poses from the joint limits [rad]."""
 SAME = 1e-4
 """A site this near to the centre of a toe marks it [m]."""
-DERIVED, GUESSED = "derived from the MJCF", "GUESSED: the Go2's{}; measure it"
+DERIVED = "derived from the MJCF"
+GUESSED = "GUESSED: the Go2's{}; measure it"
 POSES = {"lie": (1.25, -2.5, 1.25, -2.5), "four": (0.8, -1.6, 0.8, -1.6), "upright": (0.9, -1.6, 1.8, -1.2)}
 """Hip and knee of the front legs, then of the hind legs [rad]; the upright hind hip is then solved for."""
 SCALED = {

@@ -267,7 +267,8 @@ def _says_how_it_was_left(ending: str, folder: Path) -> Iterator[None]:
 
 def _inference(policy: Policy) -> float:
     """Return the median time that a policy takes [s]; the first calls, which are slow, are over then."""
-    observation, took = np.zeros(policy.contract.observation_size), []
+    observation = np.zeros(policy.contract.observation_size)
+    took = []
     for _ in range(WARM_UP):
         begin = time.perf_counter()
         policy.act(observation)
@@ -310,7 +311,8 @@ def _motion(source: Path | str | None, settings: InputSettings, policy: Policy, 
 @contextmanager
 def _shown(supervisor: Supervisor, show: Callable[[Event], None]) -> Iterator[None]:
     """Show what a supervisor finds, from a thread of its own, so that a slow terminal delays nothing."""
-    over, shown = threading.Event(), 0
+    over = threading.Event()
+    shown = 0
 
     def watch() -> None:
         nonlocal shown

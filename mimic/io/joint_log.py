@@ -206,7 +206,8 @@ def without_marks(log: JointLog) -> tuple[JointLog, list[str]]:
     It occurs more than once, and no reading comes near it: it is twice as far away as all others are from each other,
     and more than two turns.
     """
-    q, told = np.array(log.q), []
+    q = np.array(log.q)
+    told = []
     for j, joint in enumerate(log.joints):
         values, counts = np.unique(q[np.isfinite(q[:, j]), j], return_counts=True)
         for end, others in ((0, values[1:]), (-1, values[:-1])):
@@ -330,7 +331,8 @@ def jump_fault(log: JointLog) -> str | None:
             found = np.flatnonzero((np.abs(step) > JUMP) & (speed > most))
             if not len(found):
                 continue
-            size, row = float(step[found[0]]), int(rows[found[0] + over])
+            size = float(step[found[0]])
+            row = int(rows[found[0] + over])
             turns = round(size / (2 * np.pi))
             wraps = turns != 0 and abs(size - 2 * np.pi * turns) < 0.5
             why = (
@@ -367,7 +369,8 @@ def _carried(log: JointLog) -> JointLog:
         before = np.maximum.accumulate(np.where(known, number, -1))
         after = np.minimum.accumulate(np.where(known, number, len(q))[::-1])[::-1]
         gap = np.flatnonzero(~known & (before >= 0) & (after < len(q)))
-        last, following = before[gap], after[gap]
+        last = before[gap]
+        following = after[gap]
         still = (following - last <= rows) & (np.abs(q[following] - q[last]) <= within)
         if log.q_des is not None:
             changes = np.concatenate([[0], np.cumsum(np.diff(log.q_des[:, j]) != 0)])
@@ -545,7 +548,8 @@ def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         column = table.column(name)
         if pa.types.is_dictionary(column.type):
             column = column.cast(column.type.value_type)
-        kind, types = column.type, pa.types
+        kind = column.type
+        types = pa.types
         if str(kind) in ("string", "large_string", "string_view"):
             columns |= _numeric({name: column.to_pylist()}, path)
             continue

@@ -83,7 +83,10 @@ class ArmTorques:
         twist = xp.zeros_like(axes[0])
         move = upward + spin
         place = xp.zeros_like(axes[0])
-        places, centres, forces, moments = [], [], [], []
+        places = []
+        centres = []
+        forces = []
+        moments = []
         for k, axis in enumerate(axes):
             if k:
                 arm = _times(turns[k - 1], self._place[:, k])
@@ -108,12 +111,15 @@ class ArmTorques:
     def _turns(self, q: Any) -> list[Any]:
         """Return the axes of each link in base axes, three of (..., 2, 3, 3)."""
         xp = self._xp
-        zero, one = xp.zeros_like(q[..., 0]), xp.ones_like(q[..., 0])
-        c, s = xp.cos(q[..., 0]), xp.sin(q[..., 0])
+        zero = xp.zeros_like(q[..., 0])
+        one = xp.ones_like(q[..., 0])
+        c = xp.cos(q[..., 0])
+        s = xp.sin(q[..., 0])
         abad = _matrix([one, zero, zero, zero, c, -s, zero, s, c], xp)
         turns = [abad]
         for angle in (q[..., 1], q[..., 1] + q[..., 2]):
-            c, s = xp.cos(angle), xp.sin(angle)
+            c = xp.cos(angle)
+            s = xp.sin(angle)
             turns.append(abad @ _matrix([c, zero, s, zero, one, zero, -s, zero, c], xp))
         return turns
 

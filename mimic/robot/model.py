@@ -22,8 +22,10 @@ from mimic.robot.parts import ModelNames
 
 log = logging.getLogger(__name__)
 
-BASE, FLOOR = "base", "floor"
-"""Names of the body that carries the legs, and of the ground."""
+BASE = "base"
+"""Name of the body that carries the legs."""
+FLOOR = "floor"
+"""Name of the ground."""
 
 TOES = tuple(f"{leg}_toe" for leg in LEGS)
 """Site at the centre of each toe, in the order of LEGS."""
@@ -141,7 +143,8 @@ def make_room(spec: Any) -> None:
         reflected = actuator.gear[0] ** 2
         joint.armature += reflected * actuator.armature
         joint.damping = joint.damping + reflected * actuator.damping
-        actuator.armature, actuator.damping = 0.0, [0.0, 0.0, 0.0]
+        actuator.armature = 0.0
+        actuator.damping = [0.0, 0.0, 0.0]
 
 
 def is_visual(geom: Any) -> bool:
@@ -233,9 +236,10 @@ def _tell(path: Path, parts: str) -> None:
         log.info("%s: left out %s", path, parts)
 
 
-APART, BEYOND = 1e-3, 1e-3
-"""How far a toe of the MJCF may be from where the numbers of the description put it [m], and how far their limits may
-go beyond the MJCF's [rad]: rounding, no more."""
+APART = 1e-3
+"""How far a toe of the MJCF may be from where the numbers of the description put it [m]: rounding, no more."""
+BEYOND = 1e-3
+"""How far the description's limits may go beyond the MJCF's [rad]: rounding, no more."""
 
 
 @cache
@@ -285,7 +289,8 @@ def _rename_body(spec: Any, body: Any, name: str) -> None:
 
 
 def _name_leg(spec: Any, description: RobotDescription, leg: str) -> None:
-    names, path = description.names, description.mjcf
+    names = description.names
+    path = description.mjcf
     at = LEGS.index(leg)
     roles = JOINTS[3 * at : 3 * at + 3]
     joints = [spec.joint(names.of_leg(name, leg)) for name in names.joints]

@@ -41,7 +41,8 @@ class Homing:
         Raises:
             AssetError: If the file cannot be written.
         """
-        offset, phase = self.offset.tolist(), self.phase.tolist()
+        offset = self.offset.tolist()
+        phase = self.phase.tolist()
         try:
             save_json({"uid": list(self.uid), "mark": self.mark, "offset": offset, "phase": phase}, path)
         except OSError as reason:
@@ -97,7 +98,8 @@ def uneven(q: FloatArray) -> list[str]:
     differences = []
     for left, right in ((0, 3), (6, 9)):
         for part in range(3):
-            one, other = q[left + part], q[right + part]
+            one = q[left + part]
+            other = q[right + part]
             apart = abs(one + other) if part == 0 else abs(one - other)
             if apart > UNEVEN:
                 differences.append(

@@ -191,9 +191,11 @@ def _positions(joints: list[_Joint], values: FloatArray, added: bool) -> FloatAr
     from scipy.spatial.transform import Rotation
 
     places = np.empty((len(values), len(joints), 3))
-    columns, turned = iter(values.T), list[Rotation]()
+    columns = iter(values.T)
+    turned = list[Rotation]()
     for index, joint in enumerate(joints):
-        moved, turn = np.tile(joint.offset, (len(values), 1)), Rotation.identity(len(values))
+        moved = np.tile(joint.offset, (len(values), 1))
+        turn = Rotation.identity(len(values))
         for kind, axis in joint.channels:
             column = next(columns)
             if kind == "position":

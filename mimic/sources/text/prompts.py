@@ -22,7 +22,8 @@ EXAMPLE = "step forward, then raise the left hand"
 def rules(reach: Reach, longest: float) -> str:
     """Return what there is to know about the robot, each number from its description or its kinematics."""
     description = reach.description
-    commands, leg = description.commands, reach.legs[0]
+    commands = description.commands
+    leg = reach.legs[0]
     limits = "\n".join(
         f"  {name}: {np.degrees(low):.0f} to {np.degrees(high):.0f}"
         for name, low, high in zip(JOINTS[:FRONT], reach.q_min, reach.q_max, strict=True)

@@ -33,13 +33,17 @@ def with_heading(track: PoseTrack) -> PoseTrack:
 
     Each shot is turned by one angle.
     """
-    landmarks, pixels, result = track.landmarks, in_pixels(track), track.landmarks.copy()
+    landmarks = track.landmarks
+    pixels = in_pixels(track)
+    result = track.landmarks.copy()
     for rows in np.split(np.arange(len(landmarks)), track.cuts()):
         turn = _turn(landmarks[rows], pixels[rows], track.valid[rows], track.size)
-        c, s = np.cos(turn), np.sin(turn)
+        c = np.cos(turn)
+        s = np.sin(turn)
         for left, right in zip(_LEFT, _RIGHT, strict=True):
             half = (landmarks[rows, left[0]] - landmarks[rows, right[0]]) / 2
-            x, z = half[:, 0], half[:, 2]
+            x = half[:, 0]
+            z = half[:, 2]
             moved = np.stack([c * x - s * z - x, np.zeros(len(x)), s * x + c * z - z], axis=-1)[:, None]
             result[rows[:, None], left] += moved
             result[rows[:, None], right] -= moved

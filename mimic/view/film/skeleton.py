@@ -45,8 +45,10 @@ _JUST_USABLE = 0.5
 """Visibility at which a landmark may just be used."""
 _PALEST = 0.25
 """Share of its colour that the least sure wrist keeps."""
-_WELL_KNOWN_DEPTH, _UNKNOWN_DEPTH = 0.08, 0.16
-"""Standard deviation of the depth of a wrist that is sure, and of one about which nothing is known [m]."""
+_WELL_KNOWN_DEPTH = 0.08
+"""Standard deviation of the depth of a wrist that is sure [m]."""
+_UNKNOWN_DEPTH = 0.16
+"""… and of one about which nothing is known [m]."""
 _HIP_HEIGHT = 0.9
 """Assumed height of the hips if no foot is visible [m]."""
 
