@@ -98,10 +98,9 @@ def show_errors(title: str, joints: Sequence[str], columns: Mapping[str, FloatAr
     from mimic.sysid.result import Errors
     from mimic.view.report.svg import figure
 
-    rows = {
-        joint: {name: figure(unit.factor * float(values[i])) for name, values in columns.items()}
-        for i, joint in enumerate(joints)
-    }
+    rows = {}
+    for i, joint in enumerate(joints):
+        rows[joint] = {name: figure(unit.factor * float(values[i])) for name, values in columns.items()}
     if len(joints) > 1:
         rows["all"] = {name: figure(unit.factor * Errors.total(values)) for name, values in columns.items()}
     matrix(f"{title} [{unit.name}]", rows, as_is=True)

@@ -182,7 +182,8 @@ def _unexplained(answers: Sequence[Answer]) -> str:
 
 def _turn(answers: Sequence[Answer]) -> str:
     """Return by how much the IMU is turned about the vertical, if it is."""
-    tilted, expected = (np.concatenate([getattr(a, name) for a in answers]) for name in ("tilted", "expected"))
+    tilted = np.concatenate([answer.tilted for answer in answers])
+    expected = np.concatenate([answer.expected for answer in answers])
     across = np.sum(expected[:, 0] * tilted[:, 1] - expected[:, 1] * tilted[:, 0])
     angle = math.atan2(across, np.sum(expected * tilted))
     return f"the IMU is turned by {np.rad2deg(angle):.0f} deg about the vertical" if abs(angle) > TURNED else ""

@@ -90,9 +90,9 @@ class _Disk:
 
 def _shapes(kind: type[Record], observation: int) -> dict[str, tuple[int, ...]]:
     """Return the shape of a row of each array field."""
-    lengths = {"observation": observation}
+    lengths = {name: len(labels) for name, labels in AXES.items()} | {"observation": observation}
     arrays = [f for f in fields(kind) if "axes" in f.metadata]  # type: ignore[arg-type]
-    return {f.name: tuple(lengths.get(a) or len(AXES[a]) for a in f.metadata["axes"]) for f in arrays}
+    return {f.name: tuple(map(lengths.__getitem__, f.metadata["axes"])) for f in arrays}
 
 
 def health_row(health: Health | None, t: float, clamped: int, mode: int) -> dict[str, Any]:

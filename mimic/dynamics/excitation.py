@@ -229,7 +229,7 @@ def _ease(n: int) -> FloatArray:
 
 def _joined(signals: list[_Section], count: int, blend: int) -> tuple[FloatArray, tuple[tuple[str, int, int], ...]]:
     """Sections one after another; the first rows of each lead over from the last target before."""
-    rows = []
+    rows: list[FloatArray] = []
     sections = []
     total = 0
     for name, u in signals:

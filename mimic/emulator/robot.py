@@ -123,7 +123,9 @@ class EmulatedRobot:
             for i in range(len(JOINTS))
         ]
         """In the order of the joints."""
-        self._on_bus = [[i for i in range(len(JOINTS)) if wiring.bus[i] == bus] for bus in range(wiring.buses)]
+        self._on_bus: list[list[int]] = [[] for _ in range(wiring.buses)]
+        for joint, bus in enumerate(wiring.bus):
+            self._on_bus[bus].append(joint)
         self._driven: list[Drive | None] = [FREE] * len(JOINTS)
         self._broken = BrokenDrives(wiring, self.body, lambda kind, i: self._value(kind, joint=i))
         self.events: deque[tuple[float, str]] = deque(maxlen=1000)

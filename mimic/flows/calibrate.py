@@ -264,9 +264,11 @@ def _missing_gains(log: JointLog, machine: MachineModel) -> list[str]:
     lacking = [key for key in ("kp", "kd") if key not in log.metadata and machine.drives.volts is None]
     if log.q_des is None or not lacking:
         return []
-    own = ((key, sorted(set(map(float, getattr(machine.drives, key))))) for key in lacking)
-    values = " and ".join(f"{key} {', '.join(f'{v:.4g}' for v in r[:3])}{' …' if len(r) > 3 else ''}" for key, r in own)
-    return [f"the notes of the log lack {' and '.join(lacking)}; the model's values are used: {values}"]
+    own = []
+    for key in lacking:
+        values = sorted(set(map(float, getattr(machine.drives, key))))
+        own.append(f"{key} {', '.join(f'{value:.4g}' for value in values[:3])}{' …' if len(values) > 3 else ''}")
+    return [f"the notes of the log lack {' and '.join(lacking)}; the model's values are used: {' and '.join(own)}"]
 
 
 def save_calibration(result: Calibration, out: Path) -> list[Path]:

@@ -50,7 +50,7 @@ class CameraRecord:
     def track(self) -> LiveTrack:
         """Return the rows as a record."""
         rows = self.seen
-        wrists = [[bool(row.valid[i]) for i in WRISTS] for row in rows]
+        wrists = [row.valid[WRISTS] for row in rows]
         return LiveTrack(
             t=np.array([row.t for row in rows]) - self.began,
             latency=np.array(self.latency),

@@ -387,7 +387,8 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
         SourceError: If they are in no arm lengths, or of a body that has no arms' length.
     """
     reach = np.linalg.norm(wrists.p_SH[wrists.valid], axis=-1)
-    if len(reach) and not 0.2 <= (longest := float(np.quantile(reach, 0.98))) <= 2.0:
+    longest = float(np.quantile(reach, 0.98)) if len(reach) else 1.0
+    if not 0.2 <= longest <= 2.0:
         raise SourceError(
             f"the wrists are up to {longest:.3g} arm lengths from their shoulders; expected about 1: divide them by "
             "the length of the arm"
@@ -404,7 +405,8 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
         yield "both hands are mostly on one side: if y is up or down in the data, turn it to x forward, y left, z up"
     step = np.linalg.norm(np.diff(wrists.p_SH, axis=0), axis=-1) / np.diff(wrists.t)[:, None]
     known = step[np.isfinite(step)]
-    if len(known) and (speed := float(np.quantile(known, 0.9))) > FASTEST:
+    speed = float(np.quantile(known, 0.9)) if len(known) else 0.0
+    if speed > FASTEST:
         yield f"the hands move at {speed:.0f} arm lengths a second: the times or the frame rate are too short"
 
 

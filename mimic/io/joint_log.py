@@ -485,7 +485,8 @@ def _read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     header = [name.strip() for name in rows[0]]
     if len(rows) == 1:
         raise CalibrationError(f"{path} has a header line, but no rows; a log is a row for each reading")
-    if len(header) == 1 and (other := [name for mark, name in _MARKS if mark in header[0]]):
+    other = [name for mark, name in _MARKS if mark in header[0]]
+    if other and len(header) == 1:
         raise CalibrationError(f"{path} has {other[0]} between its columns; commas are expected, and points in numbers")
     if twice := [name for name in header if header.count(name) > 1]:
         raise CalibrationError(f"{path} has two columns {twice[0]}")

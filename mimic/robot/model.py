@@ -294,7 +294,8 @@ def _name_leg(spec: Any, description: RobotDescription, leg: str) -> None:
     at = LEGS.index(leg)
     roles = JOINTS[3 * at : 3 * at + 3]
     joints = [spec.joint(names.of_leg(name, leg)) for name in names.joints]
-    links = [_found(spec.body(own := names.of_leg(name, leg)), "body", own, path) for name in names.links]
+    bodies = [names.of_leg(name, leg) for name in names.links]
+    links = [_found(spec.body(name), "body", name, path) for name in bodies]
     for role, joint, link, axis in zip(roles, joints, links, _AXES, strict=True):
         if not np.allclose(joint.axis, axis) or np.any(joint.pos):
             raise AssetError(f"{path}: joint {joint.name!r} must turn about {axis} at the origin of its link")

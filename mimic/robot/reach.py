@@ -127,7 +127,11 @@ class Reach:
         for p, postures in zip(p_wanted, self._postures(p_wanted), strict=True):
             rows.append(self._closest(p, postures, q_start))
             q_start = rows[-1].q
-        return Closest(*(np.stack([getattr(row, name) for row in rows]) for name in ("q", "p_BE", "moved")))
+        return Closest(
+            q=np.stack([row.q for row in rows]),
+            p_BE=np.stack([row.p_BE for row in rows]),
+            moved=np.stack([row.moved for row in rows]),
+        )
 
     @cached_property
     def acceleration_max(self) -> FloatArray:
@@ -162,7 +166,8 @@ class Reach:
         left, right = (shapes("shank", "toe", legs=(leg,)) for leg in ("FL", "FR"))
         pairs += product(left, (*right, *shapes("thigh", legs=("FR",))))
         pairs += product(shapes("thigh", legs=("FL",)), right)
-        ids = [tuple(self._geometry.getGeometryId(name) for name in pair) for pair in pairs]
+        shape = self._geometry.getGeometryId
+        ids = [(shape(one), shape(other)) for one, other in pairs]
         for one, other in ids:
             self._geometry.addCollisionPair(pin.CollisionPair(one, other))
         objects = self._geometry.geometryObjects

@@ -85,7 +85,7 @@ def _run_byte(state: int, byte: int) -> tuple[int, int]:
     return state, stuffed
 
 
-_RUN_TABLE = tuple(tuple(_run_byte(state, byte) for byte in range(256)) for state in range(10))
+_RUN_TABLE = tuple(tuple(map(_run_byte, (state,) * 256, range(256))) for state in range(10))
 
 
 def frame_bits(frame: CanFrame) -> int:

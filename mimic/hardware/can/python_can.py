@@ -200,7 +200,7 @@ class _Port:
 class _Closed:
     """A bus that is being opened again."""
 
-    file = None
+    file: None = None
     garbled = 0
 
     def __init__(self, name: str, problem: str = "") -> None:

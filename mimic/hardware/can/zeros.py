@@ -62,9 +62,8 @@ def read_homing(path: Path) -> Homing | None:
         return None
     raw: Any = load_json(path)
     try:
-        offset, phase = (
-            np.array([np.nan if v is None else v for v in raw[name]], dtype=np.float64) for name in ("offset", "phase")
-        )
+        offset = np.array(raw["offset"], dtype=np.float64)  # null becomes NaN
+        phase = np.array(raw["phase"], dtype=np.float64)
         found = Homing(uid=tuple(map(int, raw["uid"])), mark=float(raw["mark"]), offset=offset, phase=phase)
         if not len(found.uid) == len(offset) == len(phase) == len(JOINTS):
             raise ValueError

@@ -283,15 +283,8 @@ class DdsBus(Bus):
             for endpoint in self._what.read(1000, condition=ReadCondition(self._what, alive))
             if endpoint.topic_name == topic and endpoint.participant_key != own
         }
-        names = {
-            one.key: {p.key: p.value for p in one.qos if hasattr(p, "key") and hasattr(p, "value")}
-            for one in self._who.read(1000, condition=ReadCondition(self._who, alive))
-        }
-        return sorted(
-            f"{known.get('__ProcessName', 'a program')} (pid {known.get('__Pid', '?')}) on "
-            f"{known.get('__Hostname', 'an unknown computer')}, GUID {str(key)[:8]}"
-            for key, known in ((key, names.get(key, {})) for key in found)
-        )
+        qos = {one.key: one.qos for one in self._who.read(1000, condition=ReadCondition(self._who, alive))}
+        return sorted(_program(key, qos.get(key, ())) for key in found)
 
     def _take(self) -> None:
         os.read(self._wakes, 4096)
@@ -328,3 +321,12 @@ class DdsBus(Bus):
         self._participant = None
         os.close(self._woken)
         os.close(self._wakes)
+
+
+def _program(key: Any, qos: Any) -> str:
+    """Return what a participant says about its computer and program, and its number (GUID)."""
+    said = {entry.key: entry.value for entry in qos if hasattr(entry, "key") and hasattr(entry, "value")}
+    return (
+        f"{said.get('__ProcessName', 'a program')} (pid {said.get('__Pid', '?')}) on "
+        f"{said.get('__Hostname', 'an unknown computer')}, GUID {str(key)[:8]}"
+    )

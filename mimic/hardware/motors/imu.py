@@ -180,7 +180,8 @@ class XsensMti:
         sample = decode_mti(frame)
         if sample is None:
             return not frame.extended and frame.id in OTHER_OUTPUTS
-        present = {n: v for n in MtiSample.__dataclass_fields__ if (v := getattr(sample, n)) is not None}
+        values = {name: getattr(sample, name) for name in MtiSample.__dataclass_fields__}
+        present = {name: value for name, value in values.items() if value is not None}
         self._newest = replace(self._newest, **present)
         if frame.id in self._came:
             self._came[frame.id] = t

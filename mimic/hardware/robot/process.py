@@ -244,8 +244,8 @@ class SenderProcess:
 
     def wait(self, until: float) -> list[Any]:
         """Wait until a time [s], and return the reports that came."""
-        while (left := until - time.monotonic()) > 0.0 and (self._damps or not self.problem):
-            self._read(left)
+        while time.monotonic() < until and (self._damps or not self.problem):
+            self._read(max(until - time.monotonic(), 0.0))
             if self._lost and self._damps:
                 time.sleep(max(until - time.monotonic(), 0.0))
         self._read(0.0)

@@ -53,7 +53,8 @@ class _Words:
     def number(self, expected: str, word: str | None = None) -> float:
         word = word or self.next(expected)
         with suppress(ValueError):
-            if math.isfinite(value := float(word)):
+            value = float(word)
+            if math.isfinite(value):
                 return value
         raise self.wrong(repr(word), expected)
 

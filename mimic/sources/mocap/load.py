@@ -213,8 +213,9 @@ def _unit(named: Points, path: Path) -> tuple[str, float, tuple[str, ...]]:
     """
     given = named.unit
     joints = [part for part in ("shoulder", "elbow", "wrist") if f"left_{part}" in named.names]
-    chains = [[named.names.index(f"{side}_{part}") for part in joints] for side in SIDES]
-    arms = np.linalg.norm(np.diff(named.xyz[:, chains], axis=2), axis=-1).sum(axis=2)
+    chains = [named.names.index(f"{side}_{part}") for side in SIDES for part in joints]
+    places = named.xyz[:, chains].reshape(-1, len(SIDES), len(joints), 3)
+    arms = np.linalg.norm(np.diff(places, axis=2), axis=-1).sum(axis=2)
     known = arms[np.isfinite(arms)]
     if not len(known):
         return given or "m", UNITS[given or "m"], ()

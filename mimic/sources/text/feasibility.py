@@ -59,7 +59,10 @@ def _angles(q: FloatArray, reach: Reach) -> list[str]:
                 f"{name} is {np.degrees(value):.0f} deg; "
                 f"it must be from {np.degrees(low):.0f} to {np.degrees(high):.0f} deg"
             )
-    if not errors and (gap := reach.gap(q)) < reach.clearance - ROUNDING:
+    if errors:
+        return errors
+    gap = reach.gap(q)
+    if gap < reach.clearance - ROUNDING:
         errors.append(
             f"the front legs come within {100 * max(gap, 0.0):.1f} cm of each other or of the body; "
             f"{100 * reach.clearance:.1f} cm must stay free: turn the abad joints outward or lift the toes"

@@ -119,7 +119,8 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
     cycle = [(name, seconds / action.speed) for name, seconds in CYCLES[action.verb]]
     if _in_guard(action, hands, reach):
         start = []
-    first, each = (sum(seconds for _, seconds in part) for part in (start, cycle))
+    first = sum(seconds for _, seconds in start)
+    each = sum(seconds for _, seconds in cycle)
     times = int(said.get("times", 2.0 if action.verb == "wave" else 1.0))
     if "seconds" in said and "times" not in said:
         times = max(1, round((said["seconds"] - first) / each))
@@ -182,7 +183,9 @@ def _who(action: Action) -> str:
 def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -> tuple[list[KeyFrame], float]:
     """Return a key frame for each moment at which the base or a hand changes; updates ``hands`` to where they end."""
     base = list(timeline.base)
-    moving = max((sum(duration for duration, _ in moves) for moves in timeline.hands.values()), default=0.0)
+    moving = 0.0
+    for moves in timeline.hands.values():
+        moving = max(moving, sum(duration for duration, _ in moves))
     lacking = moving - sum(part[0] for part in base)
     if base and timeline.hands and 0.0 < abs(lacking) < MIN_DURATION:  # both end together, as far as before
         seconds, forward, turn = base[-1]
@@ -204,7 +207,7 @@ def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -
     what = " while ".join(timeline.understood)
     for moment in moments:
         part = min(int(np.searchsorted(ends, moment - 1e-6)), len(base) - 1)
-        q = np.concatenate([[np.interp(moment, t, own[:, i]) for i in range(3)] for t, own in tracks.values()])
+        q = np.array([np.interp(moment, t, joint) for t, own in tracks.values() for joint in own.T])
         turned = float(np.interp(moment, [0.0, *ends], gains))
         frames.append(
             KeyFrame(

@@ -454,7 +454,7 @@ class _Reader:
                 own += new
         if len(own) > 1 and shared in ("seconds", "times") and not unit[-1].has("EACH"):
             unit[-1].refuse(shared == "seconds", "has one time for two things one after the other; say it for each")
-            own = [[replace(action, amounts={**action.amounts, "times": 1.0}) for action in group] for group in own]
+            own = [list(map(_once, group)) for group in own]
             rounds = int(unit[-1].amounts["times"])
         return [*groups, *(_apart(own * rounds, unit[-1].pause) if len(unit) > 1 else own)]
 
@@ -888,6 +888,10 @@ def _check_both(action: Action, other: Action) -> None:
     if other.moves_base == action.moves_base and (action.moves_base or set(other.sides) & set(action.sides)):
         who = "the robot" if action.moves_base else f"the {action.sides[0]} hand"
         raise SourceError(f"{who} cannot {other.verb} and {action.verb} at the same time")
+
+
+def _once(action: Action) -> Action:
+    return replace(action, amounts={**action.amounts, "times": 1.0})
 
 
 def _apart(groups: Groups, pause: float) -> Groups:

@@ -21,7 +21,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from mimic.io.assets import shipped
-from mimic.records import ELBOWS, HIPS, LANDMARKS, SHOULDERS, SIDES, WRISTS, FloatArray, PoseTrack
+from mimic.records import ELBOWS, HIPS, LANDMARKS, SHOULDERS, WRISTS, FloatArray, PoseTrack, landmarks_of
 from mimic.sources.video.screening import spread_of
 from mimic.sources.video.smoothing import segments
 
@@ -60,8 +60,9 @@ FORGET_S = 1.0
 REMEMBERED = 900
 """Frames of a camera in which bones are measured."""
 
-_INDEX, _EARS = ([LANDMARKS.index(f"{side}_{part}") for side in SIDES] for part in ("index", "ear"))
-_HANDS = [[LANDMARKS.index(f"{side}_{part}") for part in ("pinky", "index", "thumb")] for side in SIDES]
+_INDEX = landmarks_of("index")
+_EARS = landmarks_of("ear")
+_FINGERS = landmarks_of("pinky", "index", "thumb")
 _NOSE = LANDMARKS.index("nose")
 _TRUNK = [*SHOULDERS, *HIPS]
 
@@ -156,7 +157,7 @@ def placed(
             across = flat[:, point] * (1.0 + z / away)[:, None] - flat[:, shoulder]
             result[:, point] = landmarks[:, shoulder] + np.column_stack([across, z])
         moved = result[:, WRISTS[side]] - landmarks[:, WRISTS[side]]
-        result[:, _HANDS[side]] += moved[:, None]
+        result[:, _FINGERS[side::2]] += moved[:, None]
     return result
 
 
@@ -272,11 +273,12 @@ def _metres(image: FloatArray, size: tuple[int, int], scale: FloatArray) -> Floa
 
 def _lengths(landmarks: FloatArray, flat: FloatArray) -> FloatArray:
     """Return the lengths of the bones (T, 2, 2, 2) [m]: upper arm, forearm; in the picture, by the detector; sides."""
-    pairs = ((SHOULDERS, ELBOWS), (ELBOWS, WRISTS))
-    return np.stack(
-        [np.stack([np.linalg.norm(p[:, b] - p[:, a], axis=-1) for p in (flat, landmarks)], axis=1) for a, b in pairs],
-        axis=1,
-    )
+
+    def bones(places: FloatArray) -> FloatArray:
+        joints = places[:, [SHOULDERS, ELBOWS, WRISTS]]
+        return np.linalg.norm(np.diff(joints, axis=1), axis=-1)
+
+    return np.stack([bones(flat), bones(landmarks)], axis=2)
 
 
 def _longest(lengths: FloatArray) -> FloatArray:

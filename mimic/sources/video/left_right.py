@@ -6,6 +6,8 @@ locks onto the wrong side when that lasts; the minimum-cost path over the clip d
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
@@ -24,7 +26,8 @@ _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 def other_side() -> IntArray:
     """Return for each landmark the index of its counterpart on the other side (L,); its own index if it has none."""
     swap = {"left": "right", "right": "left"}
-    return np.array([LANDMARKS.index("_".join(swap.get(p, p) for p in name.split("_"))) for name in LANDMARKS])
+    other = [re.sub("left|right", lambda side: swap[side[0]], name) for name in LANDMARKS]
+    return np.array([LANDMARKS.index(name) for name in other])
 
 
 def side_costs(before: FloatArray, now: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -121,7 +121,8 @@ def recognised(people: list[Person], known: list[Person]) -> list[int | None]:
     """Return for each of the people which of the known ones it is; None of a new one."""
     from scipy.optimize import linear_sum_assignment
 
-    costs = np.array([[min(unlike(one, other), UNLIKE) for other in known] for one in people])
+    costs = np.minimum([unlike(one, other) for one in people for other in known], UNLIKE)
+    costs = costs.reshape(len(people), len(known))
     found: list[int | None] = [None] * len(people)
     for row, column in zip(*linear_sum_assignment(costs), strict=True) if costs.size else ():
         if costs[row, column] < UNLIKE:

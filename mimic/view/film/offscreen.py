@@ -142,7 +142,10 @@ class Offscreen(AbstractContextManager["Offscreen"]):
     ) -> None:
         """Add an arrow to the current picture, from one point (3,) to another, world axes [m]."""
         arrow = mujoco.mjtGeom.mjGEOM_ARROW
-        if not np.allclose(begin, end) and (geom := self._add(arrow, np.zeros(3), np.zeros(3), rgba)) is not None:
+        if np.allclose(begin, end):
+            return
+        geom = self._add(arrow, np.zeros(3), np.zeros(3), rgba)
+        if geom is not None:
             mujoco.mjv_connector(geom, arrow, radius, np.asarray(begin), np.asarray(end))
 
     def _add(self, kind: Any, size: FloatArray, position: FloatArray, rgba: tuple[float, float, float, float]) -> Any:

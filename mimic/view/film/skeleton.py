@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,12 +72,13 @@ def soft(colour: Colour) -> Colour:
 
 def bones(names: tuple[str, ...]) -> dict[str, list[tuple[int, int]]]:
     """Return the pairs of landmarks in a track to connect on each side."""
-    pairs = {side: [(f"{side}_{a}", f"{side}_{b}") for a, b in _LIMBS] for side in ("left", "right")}
-    pairs["centre"] = list(_CENTRE)
-    return {
-        side: [(names.index(a), names.index(b)) for a, b in both if a in names and b in names]
-        for side, both in pairs.items()
-    }
+
+    def known(pairs: Iterable[tuple[str, str]]) -> list[tuple[int, int]]:
+        return [(names.index(a), names.index(b)) for a, b in pairs if a in names and b in names]
+
+    left = known((f"left_{a}", f"left_{b}") for a, b in _LIMBS)
+    right = known((f"right_{a}", f"right_{b}") for a, b in _LIMBS)
+    return {"left": left, "right": right, "centre": known(_CENTRE)}
 
 
 def visible(points: FloatArray, valid: BoolArray) -> BoolArray:

@@ -230,9 +230,10 @@ def _unexplained(c: Calibration) -> str:
         ("What to log next", c.experiments),
         ("Warnings", c.warnings),
     )
-    texts = "".join(
-        f"<h3>{title}</h3><ul>{''.join(f'<li>{escape(x)}</li>' for x in lines)}</ul>" for title, lines in lists if lines
-    )
+    texts = ""
+    for title, lines in lists:
+        if lines:
+            texts += f"<h3>{title}</h3><ul>{''.join(f'<li>{escape(x)}</li>' for x in lines)}</ul>"
     return section("Unexplained residual", "", table, texts)
 
 

@@ -121,9 +121,8 @@ def by_phase(c: Calibration, unit: Unit) -> str:
     for j, joint in enumerate(c.joints):
         parts = phases(traces, j)
         names = tuple(parts)
-        sums = np.array(
-            [[np.nansum(r[where, j] ** 2) for where in parts.values()] for r in (traces.before, traces.after)]
-        )
+        both = np.stack([traces.before, traces.after])
+        sums = np.stack([np.nansum(both[:, where, j] ** 2, axis=1) for where in parts.values()], axis=1)
         number = np.array([np.isfinite(traces.after[where, j]).sum() for where in parts.values()])
         squares.append(sums)
         counts.append(number)
