@@ -327,11 +327,13 @@ def test_brackets_in_a_name_are_printed_as_they_are(here, capsys):
 # ---------------------------------------------------------------------- exit statuses
 
 
+@pytest.mark.slow
 def test_targets_that_someone_else_made_can_be_played(here, targets, capsys):
     assert main([str(targets), "--sim", "--no-view", "-o", "out", *SHORT]) == 0
     assert "0.5 s in all" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_stored_commands_are_played_with_their_velocity(here):
     commands(here)
     assert main(["commands.parquet", "--sim", "--no-view", "-o", "out", *SHORT]) == 0
@@ -358,6 +360,7 @@ def test_motion_from_elsewhere_becomes_a_run_like_a_video(here):
     assert np.array_equal(one.p_BE, other.p_BE)
 
 
+@pytest.mark.slow
 def test_a_sentence_becomes_a_run_whose_key_frames_can_be_played_again(here, capsys):
     assert main(["--text", "step forward, then stop and wave the left hand", "--sim", "--no-view", *SHORT]) == 0
     shown = capsys.readouterr().out
