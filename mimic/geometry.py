@@ -120,7 +120,8 @@ def upright_cosine(w: Any, x: Any, y: Any, z: Any, heading: Any, direction: Any,
         direction: Unit vector (3,) in the plane of forward and up, such as the upright direction of a robot.
         xp: ``numpy`` or ``torch``.
     """
-    forward_x, forward_y = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z)
+    forward_x = 1 - 2 * (y * y + z * z)
+    forward_y = 2 * (x * y + w * z)
     ahead = forward_x * xp.cos(heading) + forward_y * xp.sin(heading)
     return float(direction[0]) * ahead + float(direction[2]) * up_cosine(w, x, y, z)
 

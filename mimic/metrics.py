@@ -33,7 +33,8 @@ def uprightness(quat_WB: FloatArray, description: RobotDescription) -> FloatArra
 def standing(log: RunLog, description: RobotDescription) -> np.ndarray:
     """Return for each tick whether the robot stands upright; height counts where it is measured."""
     ok = uprightness(log.quat_WB, description) > UPRIGHT_COSINE
-    height, least = log.p_WB[:, 2], round(UPRIGHT_SHARE * description.pose_height["upright"], 2)
+    height = log.p_WB[:, 2]
+    least = round(UPRIGHT_SHARE * description.pose_height["upright"], 2)
     return ok & (np.isnan(height) | (height > least))
 
 
@@ -64,7 +65,8 @@ def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
     if len(rows) < 3:
         return 0.0, float("nan")
     dt = _step(log)
-    reached, target = log.p_BE[rows], log.p_BE_des[rows]
+    reached = log.p_BE[rows]
+    target = log.p_BE_des[rows]
     most = len(rows) // 2
     shifts = range(min(round(longest / dt) + 1, most))
 
@@ -121,7 +123,8 @@ def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
     rows = log.aimed
     dt = _step(log)
     lasting = log.tau[rows] if rows.any() else log.tau
-    rise, limit = winding_rise(log.tau, dt, description)[-1], seconds_to_limit(lasting, dt, description)
+    rise = winding_rise(log.tau, dt, description)[-1]
+    limit = seconds_to_limit(lasting, dt, description)
     hottest = int(np.argmax(np.mean(lasting**2, axis=0)))
     knees = [i for i, name in enumerate(JOINTS) if name.startswith("R") and name.endswith("knee")]
     duration = len(log.t) * dt

@@ -52,6 +52,7 @@ def test_an_unknown_name_lists_what_there_is():
         mimic.nothing_like_this
 
 
+@pytest.mark.slow
 def test_an_own_array_of_toe_positions_is_played_and_saved(tmp_path):
     robot, policy = mimic.load_robot(), mimic.load_policy()
     neutral = np.array(policy.contract.neutral_toes).reshape(1, 2, 3)

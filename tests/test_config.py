@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from mimic.config.evaluation import EvaluateSettings, LeadSettings
+from mimic.config.evaluation import EvaluateSettings
 from mimic.config.play import NOMINAL, Randomisation, RunSettings
 from mimic.config.pose import PoseSettings
 from mimic.config.retarget import RetargetSettings
@@ -52,12 +52,6 @@ def test_settings_have_defaults_and_cannot_be_changed_in_place(kind):
     name = dataclasses.fields(kind)[0].name
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(settings, name, None)
-
-
-def test_a_long_evaluation_of_leading_watches_the_rest():
-    assert LeadSettings(seconds=120.0).hand.after == 120.0 - LeadSettings().hand.end
-    with pytest.raises(ConfigError, match="seconds is 5000 s"):
-        LeadSettings(seconds=5000.0)
 
 
 def pairs(ranges: Randomisation) -> dict[str, tuple[float, float]]:

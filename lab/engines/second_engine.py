@@ -20,18 +20,20 @@ import json
 import logging
 import sys
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lab.policies.studies.calm import SETTLED
 from mimic.config.play import NOMINAL, Randomisation
 from mimic.control.plant import Plant
 from mimic.dynamics.lying import RESTS, RESTS_FOR, SINKS_WITHIN
 from mimic.dynamics.robot_model import Variation, draw_variation, load_model
 from mimic.errors import PlantError
-from mimic.evaluation.calm import SETTLED
 from mimic.evaluation.episode import OF_EPISODES, play_episode
 from mimic.evaluation.policy import TIMING, command_script, forward_speed, standing_track, stands_at_end
 from mimic.metrics import run_metrics, stand_up_time
@@ -295,16 +297,8 @@ def main(argv: list[str] | None = None) -> int:
     logging.getLogger("drake").setLevel(logging.ERROR)  # a warning for each MJCF attribute that it does not read
     description = load_description("cyberdog2")
     policy = Policy(options.policy, description)
-    few = max(options.robots // 5, 1)
-    table2 = replace(Randomisation(), restitution=NOMINAL.restitution)
-    jobs: list[tuple[str, Randomisation, int, float, dict[str, Any]]] = [
-        *(("randomised", table2, i, options.seconds, {}) for i in range(options.robots)),
-        *(("still", table2, i, options.seconds, {"still": True}) for i in range(few)),
-        *(("goals", NOMINAL, i, options.seconds, {"speed": 0.0, "turn": 0.0}) for i in range(few)),
-        *((f"walk {v:+.1f}", NOMINAL, i, 12.0, {"speed": v, "turn": 0.0}) for v in (-0.3, 0.3) for i in range(few)),
-    ]
     rows = []
-    for kind, ranges, seed, seconds, asked in jobs:
+    for kind, ranges, seed, seconds, asked in _jobs(options.robots, options.seconds):
         for engine, made, more in (("drake", DrakePlant, {}), ("mujoco", SimulatedPlant, OF_EPISODES)):
             figures = episode(made(description, ranges=ranges, seed=seed, **more), policy, seconds, seed, **asked)
             rows.append({"kind": kind, "seed": seed, "engine": engine, **figures})
@@ -314,16 +308,42 @@ def main(argv: list[str] | None = None) -> int:
     for kind in dict.fromkeys(r["kind"] for r in rows):
         for engine in ("drake", "mujoco"):
             own = [r for r in rows if r["kind"] == kind and r["engine"] == engine]
-            stood = [r for r in own if r["stands"]]
-            print(
-                f"{kind:12s} {engine:7s} {len(stood):3d} of {len(own):3d} stand;"
-                f" up after {np.median([r['stood_up_s'] for r in own]):.2f} s;"
-                f" toes {100 * np.mean([r['toe_error_m'] for r in stood] or [np.nan]):.2f} cm;"
-                f" moved {np.mean([r['moved_m'] for r in stood] or [np.nan]):.2f} m;"
-                f" forward {np.mean([r['forward_m_s'] for r in stood] or [np.nan]):+.3f} m/s;"
-                f" knees {np.mean([r['knee_rms_nm'] for r in stood] or [np.nan]):.2f} N m"
-            )
+            print(f"{kind:12s} {engine:7s} {_summary(own)}")
     return 0
+
+
+Job = tuple[str, Randomisation, int, float, dict[str, Any]]
+"""Kind, ranges of the robot, seed, length [s], what is asked."""
+
+
+def _jobs(robots: int, seconds: float) -> Iterator[Job]:
+    few = max(robots // 5, 1)
+    table2 = replace(Randomisation(), restitution=NOMINAL.restitution)
+    for seed in range(robots):
+        yield "randomised", table2, seed, seconds, {}
+    for seed in range(few):
+        yield "still", table2, seed, seconds, {"still": True}
+    for seed in range(few):
+        yield "goals", NOMINAL, seed, seconds, {"speed": 0.0, "turn": 0.0}
+    for speed, seed in product((-0.3, 0.3), range(few)):
+        yield f"walk {speed:+.1f}", NOMINAL, seed, 12.0, {"speed": speed, "turn": 0.0}
+
+
+def _summary(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the figures of some episodes; all but the time to stand up are those of robots that stand."""
+    stood = [row for row in rows if row["stands"]]
+
+    def mean(name: str) -> float:
+        return float(np.mean([row[name] for row in stood])) if stood else float("nan")
+
+    return (
+        f"{len(stood):3d} of {len(rows):3d} stand;"
+        f" up after {np.median([row['stood_up_s'] for row in rows]):.2f} s;"
+        f" toes {100 * mean('toe_error_m'):.2f} cm;"
+        f" moved {mean('moved_m'):.2f} m;"
+        f" forward {mean('forward_m_s'):+.3f} m/s;"
+        f" knees {mean('knee_rms_nm'):.2f} N m"
+    )
 
 
 if __name__ == "__main__":

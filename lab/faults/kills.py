@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from lab.faults.processes import HELPER, Process, helper_of, incomplete, send_signals
+from lab.faults.processes import HELPER, Process, helper_of, incomplete, lines_in, send_signals, traceback_in
 from lab.faults.proxies import LcmProxy, TcpProxy, wiring_through
 from mimic.config.emulator import EmulateSettings
 from mimic.control.priority import EMULATOR, real_time
@@ -44,6 +44,14 @@ RUNS = 14.0
 
 HANG = 60.0
 """[s]"""
+
+CUT_BY = {
+    ("can", "killed"): "refuses",
+    ("can", "stopped"): "stalls",
+    ("stock", "killed"): "cuts",
+    ("stock", "stopped"): "cuts",
+}
+"""What the proxy does, by the robot and what becomes of the server."""
 
 
 class Scene:
@@ -83,6 +91,15 @@ class Scene:
         """Return whether a motor has stiffness or torque."""
         return bool(self.robot.driven())
 
+    def last_driven(self, begin: float, end: float) -> float:
+        """Watch the motors until a time [s], and return when one was last driven; ``begin`` where none was."""
+        last = begin
+        while time.monotonic() < end:
+            if self.driven():
+                last = time.monotonic()
+            time.sleep(0.001)
+        return last
+
     def close(self) -> None:
         self._over.set()
         self._thread.join(10.0)
@@ -101,39 +118,40 @@ def play(robot: str, seed: int, motion: Path, work: Path) -> dict[str, Any]:
         words = [str(motion), "--robot", *scene.words, "--yes", "--no-view", "-o", str(work / "run")]
         host = stack.enter_context(Process(work / "said.txt", *words))
         pid = host.process.pid
-        end = time.monotonic() + HANG
-        while not scene.driven() and host.process.poll() is None and time.monotonic() < end:
-            time.sleep(0.01)
+        _await_driven(scene, host)
         time.sleep(after)
         row["driven_before"] = scene.driven()
         target = pid if who == "loop" else helper_of(pid, HELPER)
         began = time.monotonic()
         if who == "server" and scene.proxy is not None:
-            kind = ("refuses" if how == "killed" else "stalls") if robot == "can" else "cuts"
-            scene.proxy.disturb(kind, lasts=lasts)
+            scene.proxy.disturb(CUT_BY[robot, how], lasts=lasts)
         else:
             send_signals([target], signal.SIGKILL if how == "killed" else signal.SIGSTOP)
-        back = last = began + lasts
-        while time.monotonic() < back + WATCHED:
-            last = time.monotonic() if scene.driven() else last
-            time.sleep(0.001)
+        back = began + lasts
+        last = scene.last_driven(back, back + WATCHED)
         send_signals([pid, target], signal.SIGCONT)
         row["hung"] = not host.end(HANG)
         row["status"] = host.process.returncode
         row["driven_after"] = scene.driven()
     stopped = back + WATCHED - began if who == "loop" and how == "stopped" else 0.0
-    said = host.said
     row["damped_after"] = round(last - back, 3)
     row["undamped"] = bool(row["driven_before"] and row["damped_after"] > WITHIN[how]) or row["driven_after"]
-    row["traceback"] = said[said.find("Traceback") :][:4000] if "Traceback" in said else ""
+    row["traceback"] = traceback_in(host.said)
     gone = began if (who, how) == ("loop", "killed") else None
     row["lost"] = "" if (work / "run").exists() else "there is no run folder"
     if not row["lost"] and row["driven_before"]:
         row["lost"] = incomplete(work / "run", gone, stopped)
-    lines = [line.strip() for line in said.splitlines() if line.strip("─│┌┐└┘├┤┬┴┼ ")]
-    row["false"] = any("cut the power" in line for line in lines[-3:]) and not row["driven_after"]
-    row["last"] = lines[-2:]
+    last_lines = lines_in(host.said)[-3:]
+    row["false"] = any("cut the power" in line for line in last_lines) and not row["driven_after"]
+    row["last"] = last_lines[-2:]
     return row
+
+
+def _await_driven(scene: Scene, host: Process) -> None:
+    """Return once a motor is driven, the program has ended, or nothing happens for too long."""
+    end = time.monotonic() + HANG
+    while not scene.driven() and host.process.poll() is None and time.monotonic() < end:
+        time.sleep(0.01)
 
 
 def report(rows: Sequence[Mapping[str, Any]]) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,6 +26,7 @@ from mimic.emulator.faults import MISWIRED, EmulatedFault, random_fault
 from mimic.errors import MimicError
 from mimic.evaluation.policy import command_script
 from mimic.policy.runtime import load_policy
+from mimic.records import RunLog
 from mimic.robot.description import load_description
 
 TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.5)
@@ -148,13 +150,9 @@ def play(
     kind = str(rng.choice(cases(robot, "own_time"))) if kind is None else kind
     start = float(rng.uniform(*WITHIN)) if at is None else at
     lasts = np.inf if at is not None else float(rng.choice([0.05, 0.2, 1.0, np.inf]))
-    fault = None
-    if CASES[kind].place == "robot":
-        if kind in MISWIRED:
-            fault = EmulatedFault(kind=kind, value=1.0, start=0.0, joint=int(rng.integers(12)))
-        else:
-            fault = random_fault(seed, start=(start, start), after_release=True, kinds=(kind,))
-        fault = fault if at is None else replace(fault, until=np.inf)
+    fault = _fault_of_robot(kind, seed, start, rng) if CASES[kind].place == "robot" else None
+    if fault is not None and at is not None:
+        fault = replace(fault, until=np.inf)
     if kind == "adapter_out":
         lasts = float(rng.choice([1.0, 5.0]))
     elif kind == "clock_stands":
@@ -163,7 +161,8 @@ def play(
     scene = SCENES[robot](description, rng, seed, fault)
     policies = [load_policy(None, description), load_policy(None, description, task="sit_down")]
     recorder = FullDisk(folder, policies[0].contract.observation_size, {"dt": description.dt})
-    run, supervisor = _Run(kind, start, lasts, scene, recorder), Supervisor(description)
+    run = _Run(kind, start, lasts, scene, recorder)
+    supervisor = Supervisor(description)
     safety = Safety(supervisor=supervisor, signals=run.signals, recorder=recorder, ramp=RAMP)
     track = command_script(description, seconds, rng)
     if kind == "target_nan":
@@ -175,32 +174,21 @@ def play(
     )
     scene.plant.close = _unless_killed(scene.plant.close)
     driver: Any = run_policy  # the wrapped policies are no Policy
-    escaped, hung, killed, log = "", False, False, None
     began = time.monotonic()
-    try:
-        result = driver(scene.plant, first, track, TIMING, sit_down=last, sink=run.sink, safety=safety)
-        log, error = result.log, result.error
-        hung = isinstance(error, TimeoutError)
-        made = isinstance(error, RuntimeError) and kind in ("sink_raises", "policy_raises")
-        if error is not None and not made and not isinstance(error, MimicError | TimeoutError):
-            escaped = f"{type(error).__name__}: {error}"
-    except MimicError as reason:  # before the first tick it is a sentence
-        escaped = "" if run.steps == 0 else f"{type(reason).__name__}: {reason}"
-    except Killed:
-        killed = True
+    end = _end_of(lambda: driver(scene.plant, first, track, TIMING, sit_down=last, sink=run.sink, safety=safety), run)
+    if end.killed:
         scene.is_alone()
-    except Exception as reason:
-        escaped = f"{type(reason).__name__}: {reason}"
     recorder.close()
     scene.wait(1.0)
     on_disk = None
     with suppress(MimicError):
         on_disk, _ = salvage(folder)
-    kept = on_disk if log is None or kind != "disk_full" else log
+    kept = on_disk if end.log is None or kind != "disk_full" else end.log
     rows = 0 if kept is None else len(kept.t)
-    steps = max(run.steps, 0 if killed else getattr(scene.plant, "steps", 0) - 1)
-    ended, driven = supervisor.decisive, scene.driven()
-    decided = run.damped_from(supervisor, killed=killed)
+    begun = 0 if kept is None else int(np.searchsorted(kept.t - kept.t[:1], start - ROUNDING)) - 1
+    steps = max(run.steps, 0 if end.killed else getattr(scene.plant, "steps", 0) - 1)
+    driven = scene.driven()
+    decided = run.damped_from(supervisor, killed=end.killed)
     late = scene.last_driven - scene.actable(decided)
     return {
         "robot": robot,
@@ -209,22 +197,63 @@ def play(
         "fault": kind if fault is None else str(fault),
         "begin": start,
         "lasts": lasts,
-        "stood": stood(kept, 0 if kept is None else int(np.searchsorted(kept.t - kept.t[:1], start - ROUNDING)) - 1),
-        "rule": "" if ended is None else f"{ended.rule} {ended.mode.name.lower()}",
-        "text": "" if ended is None else ended.text,
-        "after": float("nan") if ended is None else ended.t - start,
+        "stood": stood(kept, begun),
+        **_decision(supervisor, start),
         "driven": driven,
         "undamped": bool((driven and scene.reachable()) or DAMPED_WITHIN < late < np.inf),
         "late": round(float(late), 3) if np.isfinite(late) else None,
-        "hung": hung,
-        "traceback": escaped,
+        "hung": end.hung,
+        "traceback": end.escaped,
         "lost": rows < steps,
-        "silent": bool(scene.on()) and not killed and not scene.told(),
+        "silent": bool(scene.on()) and not end.killed and not scene.told(),
         "false": bool(scene.false_line()),
         "rows": rows,
         "ending": scene.plant.ending,
         "seconds": time.monotonic() - began,
     }
+
+
+def _fault_of_robot(kind: str, seed: int, start: float, rng: np.random.Generator) -> EmulatedFault:
+    if kind in MISWIRED:
+        return EmulatedFault(kind=kind, value=1.0, start=0.0, joint=int(rng.integers(12)))
+    return random_fault(seed, start=(start, start), after_release=True, kinds=(kind,))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _End:
+    """How the program ended."""
+
+    log: RunLog | None = None
+    escaped: str = ""
+    """An exception that should not have come out, with its message."""
+    hung: bool = False
+    killed: bool = False
+
+
+def _end_of(drive: Callable[[], Any], run: _Run) -> _End:
+    """Play a run and return how the program ended."""
+    try:
+        result = drive()
+    except MimicError as reason:  # before the first tick it is a sentence
+        return _End(escaped="" if run.steps == 0 else f"{type(reason).__name__}: {reason}")
+    except Killed:
+        return _End(killed=True)
+    except Exception as reason:
+        return _End(escaped=f"{type(reason).__name__}: {reason}")
+    error = result.error
+    expected = isinstance(error, MimicError | TimeoutError) or (
+        isinstance(error, RuntimeError) and run.kind in ("sink_raises", "policy_raises")
+    )
+    escaped = "" if error is None or expected else f"{type(error).__name__}: {error}"
+    return _End(log=result.log, escaped=escaped, hung=isinstance(error, TimeoutError))
+
+
+def _decision(supervisor: Supervisor, start: float) -> dict[str, Any]:
+    """Return what ended the run, and how long after the fault began [s]."""
+    ended = supervisor.decisive
+    if ended is None:
+        return {"rule": "", "text": "", "after": float("nan")}
+    return {"rule": f"{ended.rule} {ended.mode.name.lower()}", "text": ended.text, "after": ended.t - start}
 
 
 def _unless_killed(close: Any) -> Any:

@@ -26,7 +26,7 @@ from lab.faults.can_scene import CUTS
 from lab.faults.proxies import LcmProxy, TcpProxy, wiring_through
 from lab.faults.trouble import CASES, logged, stood
 from mimic.control.recorder import ROWS, salvage
-from mimic.emulator.faults import random_fault
+from mimic.emulator.faults import EmulatedFault, random_fault
 from mimic.hardware.can.python_can import open_link
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
 from mimic.hardware.motors.cybergear.parameters import Kind
@@ -236,7 +236,7 @@ def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.
             second = Process(disk.parent / "second.txt", *words, *reach, *SECOND.get(verb, []), *to)
             known["second_hung"] = not second.end(60.0)
             known["second"] = second.said.strip().splitlines()[-1:]
-            known["second_traceback"] = _traceback(second.said)
+            known["second_traceback"] = traceback_in(second.said)
         case ["master", *_]:
             _master(scene, kind, rng, min(pause, 1.0))
     return known
@@ -269,28 +269,19 @@ def play(robot: str, seed: int, motion: Path, work: Path, kinds: Sequence[str]) 
         if host.process.poll() is None:
             known = _happen(kind, scene, host, disk, rng)
         ended = host.end(HANG)
-        helper, settled = known.get("helper"), time.monotonic()
-        while helper is not None and Path(f"/proc/{helper}").exists() and time.monotonic() - settled < SETTLE:
-            time.sleep(0.1)
+        _await_end(known.get("helper"))
         time.sleep(4.0 if robot == "stock" else 0.5)  # a stock board damps by itself, 0.5 s after the last message
         left = scene.left()
     for file in disk.glob("filler*"):
         file.unlink()
     log = logged(run) if known and run.exists() else None
     before = 0 if log is None else int(np.searchsorted(log.t_host, known["at"])) - 1
-    lost = ""
-    if run.exists():
-        stopped = known["lasts"] if kind in ("host_stopped", "both_stopped") and known else 0.0
-        lost = incomplete(run, known["at"] if kind in CUT_OFF and known else None, stopped)
-    elif host.process.returncode != USER:  # it was not refused, nor did it end before its first tick
-        lost = "there is no run folder"
+    lost = _lost(kind, run, known, host)
     if small:
         subprocess.run(["umount", "-l", str(disk)], check=False)
     driven = left.startswith("driven") or left == "nothing"
-    lasts = np.inf if fault is not None and np.isinf(fault.until) else known.get("lasts") or 0.0
-    gone = kind == "both_killed" or (kind in ("refuses", "stalls", *CUTS) and lasts > SETTLE)
-    beyond = robot == "can" and gone and not own_timeout
-    lines = [line.strip() for line in host.said.splitlines() if line.strip("─│┌┐└┘├┤┬┴┼ ")]
+    beyond = robot == "can" and not own_timeout and _unreachable(kind, fault, known)
+    lines = lines_in(host.said)
     told = any("cut the power" in line or "did not confirm" in line for line in lines[-3:])
     return {
         "robot": robot,
@@ -308,7 +299,7 @@ def play(robot: str, seed: int, motion: Path, work: Path, kinds: Sequence[str]) 
         "driven": driven,
         "undamped": driven and not beyond,
         "hung": not ended or known.get("second_hung", False),
-        "traceback": _traceback(host.said) or _traceback(scene.emulator.said) or known.get("second_traceback", ""),
+        "traceback": traceback_in(host.said) or traceback_in(scene.emulator.said) or known.get("second_traceback", ""),
         "lost": lost,
         "silent": driven and beyond and kind != "both_killed" and not told,
         "second": known.get("second"),
@@ -317,7 +308,36 @@ def play(robot: str, seed: int, motion: Path, work: Path, kinds: Sequence[str]) 
     }
 
 
-def _traceback(said: str) -> str:
+def _await_end(process: int | None) -> None:
+    """Return once a process has ended, or nothing ends it."""
+    began = time.monotonic()
+    while process is not None and Path(f"/proc/{process}").exists() and time.monotonic() - began < SETTLE:
+        time.sleep(0.1)
+
+
+def _lost(kind: str, run: Path, known: dict[str, Any], host: Process) -> str:
+    """Return what is missing of a run, or nothing."""
+    if run.exists():
+        stopped = known["lasts"] if kind in ("host_stopped", "both_stopped") and known else 0.0
+        return incomplete(run, known["at"] if kind in CUT_OFF and known else None, stopped)
+    refused = host.process.returncode == USER  # or it ended before its first tick
+    return "" if refused else "there is no run folder"
+
+
+def _unreachable(kind: str, fault: EmulatedFault | None, known: dict[str, Any]) -> bool:
+    """Return whether nobody can reach the motors to the end."""
+    if kind == "both_killed":
+        return True
+    lasts = np.inf if fault is not None and np.isinf(fault.until) else known.get("lasts") or 0.0
+    return kind in ("refuses", "stalls", *CUTS) and lasts > SETTLE
+
+
+def lines_in(said: str) -> list[str]:
+    """Return the lines of what a process said, without the rules of tables."""
+    return [line.strip() for line in said.splitlines() if line.strip("─│┌┐└┘├┤┬┴┼ ")]
+
+
+def traceback_in(said: str) -> str:
     """Return the traceback in what a process said, or nothing."""
     begin = said.find("Traceback")
     return "" if begin < 0 else said[begin : begin + 4000]

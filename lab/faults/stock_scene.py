@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -37,15 +38,20 @@ class BoardScene:
     channel: str
     """Of commands."""
     robot: str
+    wiring_of: Callable[[], Any]
+    board_of: type[EmulatedBoard | EmulatedGo2]
+    bus_of: type[EmulatedBoardBus | EmulatedGo2Bus]
+    driver_of: type[StockDriver | Go2Driver]
 
     def __init__(
         self, description: RobotDescription, rng: np.random.Generator, seed: int, fault: EmulatedFault | None
     ) -> None:
         """Switch the robot on."""
-        self.board, self.bus, driver = self._made(
-            description, EmulateSettings(placement=0.02, seed=seed), [] if fault is None else [fault]
-        )
-        self.link = EmulatedSenderLink(driver, description)
+        wiring: Any = self.wiring_of()
+        settings = EmulateSettings(placement=0.02, seed=seed)
+        self.board = self.board_of(description, wiring, settings, faults=[] if fault is None else [fault])
+        self.bus: Any = self.bus_of(self.board)
+        self.link = EmulatedSenderLink(self.driver_of(self.bus, wiring, description), description)
         self.bus.listen(0.5)
         self.trouble = Trouble(rng, self.now)
         self.plant: Any = Robot(self.link, description)
@@ -54,10 +60,6 @@ class BoardScene:
         self.board.take = partial(self._pass, True)  # type: ignore[method-assign]
         self.bus.heard = partial(self._pass, False)
         self.bus.hook = self._cycle
-
-    def _made(self, description: RobotDescription, settings: EmulateSettings, faults: list[EmulatedFault]) -> Any:
-        """Return the board, its bus and a driver."""
-        raise NotImplementedError
 
     def _command(self, rng: np.random.Generator) -> bytes:
         """Return a command of another program."""
@@ -136,13 +138,12 @@ class BoardScene:
 class StockScene(BoardScene):
     """A stock CyberDog 2."""
 
-    channel, robot = MOTOR_CTRL.channel, "cyberdog2"
-
-    def _made(self, description: RobotDescription, settings: EmulateSettings, faults: list[EmulatedFault]) -> Any:
-        wiring = load_board()
-        board = EmulatedBoard(description, wiring, settings, faults=faults)
-        bus = EmulatedBoardBus(board)
-        return board, bus, StockDriver(bus, wiring, description)
+    channel = MOTOR_CTRL.channel
+    robot = "cyberdog2"
+    wiring_of = staticmethod(load_board)
+    board_of = EmulatedBoard
+    bus_of = EmulatedBoardBus
+    driver_of = StockDriver
 
     def _command(self, rng: np.random.Generator) -> bytes:
         ones = np.ones(12)
@@ -156,13 +157,12 @@ class StockScene(BoardScene):
 class Go2Scene(BoardScene):
     """A Go2, which holds its last command when no more come."""
 
-    channel, robot = LOWCMD, "go2"
-
-    def _made(self, description: RobotDescription, settings: EmulateSettings, faults: list[EmulatedFault]) -> Any:
-        wiring = load_go2()
-        board = EmulatedGo2(description, wiring, settings, faults=faults)
-        bus = EmulatedGo2Bus(board)
-        return board, bus, Go2Driver(bus, wiring, description)
+    channel = LOWCMD
+    robot = "go2"
+    wiring_of = staticmethod(load_go2)
+    board_of = EmulatedGo2
+    bus_of = EmulatedGo2Bus
+    driver_of = Go2Driver
 
     def _command(self, rng: np.random.Generator) -> bytes:
         message = blank(LOWCMD)

@@ -15,15 +15,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from mimic.config.evaluation import CalmSettings, RobustnessSettings, StandUpSettings, TableSettings
-from mimic.evaluation.calm import evaluate_calm
-from mimic.evaluation.paper_table import evaluate_table
-from mimic.evaluation.robustness import evaluate_robustness
-from mimic.evaluation.stand_up import evaluate_stand_up
+from lab.policies.studies.calm import evaluate_calm
+from lab.policies.studies.heat_map import draw_heat_map
+from lab.policies.studies.paper_table import evaluate_table
+from lab.policies.studies.robustness import evaluate_robustness
+from lab.policies.studies.settings import CalmSettings, RobustnessSettings, StandUpSettings, TableSettings
+from lab.policies.studies.stand_up import evaluate_stand_up
 from mimic.io.store import sha256_of
 from mimic.policy.runtime import cached_policy
 from mimic.robot.description import load_description
-from mimic.view.report.robustness import draw_heat_map
 
 HERE = Path(__file__).resolve().parent
 BEGIN, END = "<!-- measured: lab/policies/policy_report.py -->", "<!-- end of measured -->"
@@ -128,6 +128,27 @@ def robustness_table(result: dict[str, Any]) -> str:
     )
 
 
+def paper_and_walking(result: dict[str, Any]) -> str:
+    return "\n\n".join(
+        [paper_table(result), walking_table(result["walking"], "m_s"), walking_table(result["turning"], "rad_s")]
+    )
+
+
+def lead_table(result: dict[str, Any]) -> str:
+    s = result["summary"]
+    return rows(
+        (f"{s['episodes']} randomised robots led by a front toe", "measured"),
+        [
+            ("still standing", f"{100 * s['stood']:.1f} %"),
+            ("followed the hand", f"{100 * s['followed']:.1f} %"),
+            ("… and stopped when let go", f"{100 * s['stopped']:.1f} %"),
+            ("distance in the hand's direction", f"{s['way_m']:.1f} m"),
+            ("pull", f"{s['pull_mean_n']:.1f} N mean, {s['pull_max_n']:.1f} N most"),
+            ("speed 1 s after it is let go", f"{s['speed_after_m_s']:.2f} m/s"),
+        ],
+    )
+
+
 def stand_up_table(result: dict[str, Any]) -> str:
     s = result["summary"]
     return rows(
@@ -153,10 +174,10 @@ def stand_up_table(result: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policy", nargs="?", type=Path, default=Path("policies/stand_track.onnx"))
-    parser.add_argument("--table", type=Path, help="JSON of mimic evaluate POLICY table")
-    parser.add_argument("--stand-up", type=Path, help="JSON of mimic evaluate POLICY stand-up")
-    parser.add_argument("--calm", type=Path, help="JSON of mimic evaluate POLICY calm")
-    parser.add_argument("--robustness", type=Path, help="JSON of mimic evaluate POLICY robustness")
+    parser.add_argument("--table", type=Path, help="JSON of python -m lab.policies table POLICY")
+    parser.add_argument("--stand-up", type=Path, help="JSON of python -m lab.policies stand-up POLICY")
+    parser.add_argument("--calm", type=Path, help="JSON of python -m lab.policies calm POLICY")
+    parser.add_argument("--robustness", type=Path, help="JSON of python -m lab.policies robustness POLICY")
     parser.add_argument("--write", type=Path, help="folder of both pages; their measured parts are replaced")
     given = parser.parse_args()
     cached_policy(str(given.policy), "cyberdog2")
@@ -169,7 +190,7 @@ def report(given: argparse.Namespace, robot: str) -> None:
     def stored(path: Path, key: str) -> dict[str, Any]:
         result = json.loads(path.read_text())
         if key not in result:
-            sys.exit(f"{path} has no {key!r}; expected what mimic evaluate wrote with that mode")
+            sys.exit(f"{path} has no {key!r}; expected what python -m lab.policies wrote for that study")
         if digest not in json.dumps(result["provenance"]):
             sys.exit(f"{path} was not measured on {given.policy} ({digest[:12]})")
         return result
@@ -189,7 +210,8 @@ def report(given: argparse.Namespace, robot: str) -> None:
         [
             f"Policy `{given.policy.name}`, SHA-256 `{digest[:12]}…`, on {robot}.",
             "## The paper's Table III",
-            f"`mimic evaluate {given.policy} table`, {episodes} episodes a row, all of the paper's terminations.",
+            f"`python -m lab.policies table {given.policy}`, {episodes} episodes a row, "
+            "all of the paper's terminations.",
             paper_table(table),
             "## Walking",
             "The robot as described, three walks each, 3 to 12 s after the start. Faster than "
@@ -198,16 +220,16 @@ def report(given: argparse.Namespace, robot: str) -> None:
             "On the spot, the same for turns:",
             walking_table(table["turning"], "rad_s"),
             "## Calm",
-            f"`mimic evaluate {given.policy} calm`, {robots} randomised robots (Table II), and "
+            f"`python -m lab.policies calm {given.policy}`, {robots} randomised robots (Table II), and "
             f"{CalmSettings().pushed_episodes} for each push and pull.",
             calm_table(calm),
             "## Standing up and standing still",
-            f"`mimic evaluate {given.policy} stand-up`, {rise['summary']['starts']} starts, "
+            f"`python -m lab.policies stand-up {given.policy}`, {rise['summary']['starts']} starts, "
             f"{rise['summary']['still_episodes']} nominal robots that stand still.",
             stand_up_table(rise),
         ]
     )
-    asked = f"`mimic evaluate {given.policy} robustness`, {points} episodes at each point."
+    asked = f"`python -m lab.policies robustness {given.policy}`, {points} episodes at each point."
     pages = {"policy.md": text, "robustness.md": f"{asked}\n\n{robustness_table(robust)}"}
     for name, measured in pages.items():
         if given.write is None:

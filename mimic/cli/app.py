@@ -131,7 +131,7 @@ COMMANDS = {
         "Evaluate a policy over many episodes.",
         "mimic evaluate",
         "mimic evaluate sit_down",
-        "mimic evaluate out/policy.onnx table",
+        "mimic evaluate out/policy.onnx",
     ),
     "train": (
         "mimic.cli.train:train",
@@ -325,7 +325,8 @@ def _with_config(arguments: list[str]) -> list[str]:
         if not equals:
             if not rest:
                 raise ConfigError("--config needs a file, such as --config mimic.toml")
-            value, rest = rest[0], rest[1:]
+            value = rest[0]
+            rest = rest[1:]
         from mimic.cli.settings_file import config_of
 
         app.config = config_of(Path(value))

@@ -57,7 +57,8 @@ def batch(
 
 
 def _show(done: Batch, more: str = "") -> int:
-    failed, fell = done.with_status("failed"), done.with_status("fell")
+    failed = done.with_status("failed")
+    fell = done.with_status("fell")
     for row in failed:
         warn(f"{row['file']}: {row['error']}")
     for row in fell:

@@ -128,10 +128,9 @@ def show_errors(title: str, joints: Sequence[str], columns: Mapping[str, FloatAr
     from mimic.sysid.result import Errors
     from mimic.view.report.svg import figure
 
-    rows = {
-        joint: {name: figure(unit.factor * float(values[i])) for name, values in columns.items()}
-        for i, joint in enumerate(joints)
-    }
+    rows = {}
+    for i, joint in enumerate(joints):
+        rows[joint] = {name: figure(unit.factor * float(values[i])) for name, values in columns.items()}
     if len(joints) > 1:
         rows["all"] = {name: figure(unit.factor * Errors.total(values)) for name, values in columns.items()}
     matrix(f"{title} [{unit.name}]", rows, as_is=True)
@@ -149,7 +148,8 @@ def _found(result: Calibration) -> dict[str, str]:
             continue
         parts = []
         for name, values in e.values.items():
-            low, high = number(float(values.min())), number(float(values.max()))
+            low = number(float(values.min()))
+            high = number(float(values.max()))
             span = low if low == high else f"{low} … {high}"
             parts.append(f"{name} {span} {unit_of(e.name, name, result.unit)}".strip())
         where = f" ({len(e.joints)} joints)" if len(e.joints) > 1 else f" ({e.joints[0]})" if e.joints else ""

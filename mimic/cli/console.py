@@ -79,7 +79,8 @@ class ConsoleReporter:
 def _lines(begun: str) -> Iterator[Callable[[str], None]]:
     """Yield a function that takes many lines; the newest, at first what is begun, is printed now and then."""
     newest = [begun]
-    began, over = time.monotonic(), threading.Event()
+    began = time.monotonic()
+    over = threading.Event()
 
     def show() -> None:
         while not over.wait(LINE_INTERVAL):

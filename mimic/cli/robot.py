@@ -116,7 +116,8 @@ def _report_end(done: RobotRun) -> int:
 
 def _timing_rows(done: RobotRun) -> dict[str, str]:
     health = done.saved.run.health
-    compute, late = 1e3 * health.compute[1:], 1e3 * health.late
+    compute = 1e3 * health.compute[1:]
+    late = 1e3 * health.late
     lost = int(np.count_nonzero(health.missed))
     return {
         "robot": done.bus_url,

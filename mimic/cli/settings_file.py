@@ -137,7 +137,8 @@ def _template() -> list[str]:
             parsed = parse_from_object(one)
             helps |= {parameter.arg_name: parameter.description or "" for parameter in parsed.params}
         lines += ["", *(f"# {line}" for line in wrap(kind.__doc__ or "", 100)), f"[{section}]"]
-        hints, defaults = get_type_hints(kind), kind()
+        hints = get_type_hints(kind)
+        defaults = kind()
         for f in fields(kind):
             lines += [f"# {line}" for line in wrap(" ".join(helps.get(f.name, "").split()), 100)]
             value = getattr(defaults, f.name)

@@ -20,7 +20,7 @@ from mimic.hardware.can.zeros import LYING_TOLERANCE, Homing
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import Register
 from mimic.hardware.robot.checks import beyond_limits
-from mimic.records import JOINTS, FloatArray
+from mimic.records import JOINTS, BoolArray, FloatArray
 from mimic.robot.description import RobotDescription
 
 ZERO_TOLERANCE = 0.01
@@ -30,9 +30,12 @@ SINKS_WITHIN = 0.2
 """A robot that sank has each joint within this of where its model does [rad]: with half and twice the dry friction, and
 on grounds from .2 to .8, within 0.11."""
 
-FIRST_MARK, MARK_STEP, LAST_MARK = 1.0, 0.37, 20.0
-"""Mark of the first homing, increase at each later one, and where it starts again. None is 0 or 2, which a motor may
-have at power-up."""
+FIRST_MARK = 1.0
+"""Mark of the first homing. No mark is 0 or 2, which a motor may have at power-up."""
+MARK_STEP = 0.37
+"""Increase at each later homing."""
+LAST_MARK = 20.0
+"""A larger mark starts again at the first."""
 
 
 def home(motor_bus: MotorBus, description: RobotDescription, before: Homing | None) -> tuple[Homing, FloatArray]:
@@ -46,40 +49,75 @@ def home(motor_bus: MotorBus, description: RobotDescription, before: Homing | No
     Raises:
         PlantError: If a motor does not answer or does not accept its zero, or a joint is not near the lying pose.
     """
-    wiring = motor_bus.wiring
-    uid, silent = motor_bus.uids(), motor_bus.stop()
-    if silent or len(uid) < len(JOINTS):
-        names = ", ".join(JOINTS[j] for j in range(len(JOINTS)) if j in silent or j not in uid)
-        raise PlantError(f"no answer from {names}; is the power on? Run: mimic robot scan")
-    turned = wiring.sign * np.array([f.q for f in motor_bus.feedback if f is not None])
+    uid = _answering(motor_bus)
+    turned = motor_bus.wiring.sign * np.array([f.q for f in motor_bus.feedback if f is not None])
     mark = motor_bus.read(Register.POWER_UP_MARK)
-    kept_here = np.abs(mark - (np.nan if before is None else before.mark)) < 1e-3
-    fresh = np.isfinite(mark) & ~(kept_here | _is_mark(mark))  # no zero was set since power-up
-    other = np.flatnonzero(_is_mark(mark) & ~kept_here)
-    if before is not None and len(other):
-        names = ", ".join(JOINTS[j] for j in other)
+    marked_here = np.zeros(len(JOINTS), dtype=bool)
+    phase = np.full(len(JOINTS), np.nan)
+    kept = np.full(len(JOINTS), np.nan)
+    if before is not None:
+        marked_here = np.abs(mark - before.mark) < 1e-3
+        _refuse_others(_is_mark(mark) & ~marked_here)
+        same = np.array([before.uid[j] == uid[j] for j in range(len(JOINTS))])
+        phase = np.where(same, before.phase, np.nan)
+        kept = np.where(same & marked_here, turned + before.offset, np.nan)
+    fresh = np.isfinite(mark) & ~(marked_here | _is_mark(mark))  # no zero was set since power-up
+    q = joint_angles(kept, np.where(fresh, turned + phase, np.nan), description)
+    check_lying(q, description)
+    phase = np.where(fresh & np.isnan(phase), q - turned, phase)
+    new_mark = _next_mark(before)
+    _set_zeros(motor_bus)
+    motor_bus.set(Register.POWER_UP_MARK, new_mark)
+    return Homing(uid=tuple(uid[j] for j in range(len(JOINTS))), mark=new_mark, offset=q, phase=phase), q
+
+
+def _answering(motor_bus: MotorBus) -> dict[int, int]:
+    """Stop every motor and return its unique number, by joint.
+
+    Raises:
+        PlantError: If one does not answer.
+    """
+    uid = motor_bus.uids()
+    silent = motor_bus.stop()
+    lacking = [joint for j, joint in enumerate(JOINTS) if j in silent or j not in uid]
+    if lacking:
+        raise PlantError(f"no answer from {', '.join(lacking)}; is the power on? Run: mimic robot scan")
+    return uid
+
+
+def _refuse_others(other: BoolArray) -> None:
+    """Refuse motors (12,) whose zero another computer has set.
+
+    Raises:
+        PlantError: With their joints.
+    """
+    if other.any():
+        names = ", ".join(JOINTS[j] for j in np.flatnonzero(other))
         raise PlantError(
             f"the zero of {names} was set by another computer since power-up; switch the motor power off and on, then "
             "run it again"
         )
-    phase = np.full(len(JOINTS), np.nan)
-    kept = phase.copy()
-    if before is not None:
-        same = np.array([before.uid[j] == uid[j] for j in range(len(JOINTS))])
-        phase = np.where(same, before.phase, np.nan)
-        kept = np.where(same & (np.abs(mark - before.mark) < 1e-3), turned + before.offset, np.nan)
-    q = joint_angles(kept, np.where(fresh, turned + phase, np.nan), description)
-    check_lying(q, description)
-    phase = np.where(fresh & np.isnan(phase), q - turned, phase)
-    mark = FIRST_MARK if before is None or before.mark + MARK_STEP > LAST_MARK else before.mark + MARK_STEP
+
+
+def _next_mark(before: Homing | None) -> float:
+    """Return the mark of a homing after another one."""
+    if before is None or before.mark + MARK_STEP > LAST_MARK:
+        return FIRST_MARK
+    return before.mark + MARK_STEP
+
+
+def _set_zeros(motor_bus: MotorBus) -> None:
+    """Let every motor read zero where it is.
+
+    Raises:
+        PlantError: If one reads something else then.
+    """
     motor_bus.set_zero()
     left = np.array([np.nan if f is None else f.q for f in motor_bus.feedback])
     wrong = np.flatnonzero(~(np.abs(left) < ZERO_TOLERANCE))
     if len(wrong):
         readings = ", ".join(f"{JOINTS[j]} reads {left[j]:.3f} rad" for j in wrong)
         raise PlantError(f"zeros were set, but {readings}; was the robot moved? Run it again")
-    motor_bus.set(Register.POWER_UP_MARK, mark)
-    return Homing(uid=tuple(uid[j] for j in range(len(JOINTS))), mark=mark, offset=q, phase=phase), q
 
 
 def _is_mark(value: FloatArray) -> np.ndarray:
@@ -96,7 +134,8 @@ def joint_angles(kept: FloatArray, modulo: FloatArray, description: RobotDescrip
         modulo: Angles up to whole rotor turns, of joints whose motor lost its zero (12,) [rad]; NaN where unknown.
         description: The robot. A joint of which nothing is known is assumed to be exactly in the lying pose.
     """
-    lie, turn = description.poses["lie"], 2 * np.pi / description.gear_ratio
+    lie = description.poses["lie"]
+    turn = 2 * np.pi / description.gear_ratio
 
     def near(pose: FloatArray) -> FloatArray:
         known = np.where(np.isnan(kept), modulo + turn * np.round((pose - modulo) / turn), kept)

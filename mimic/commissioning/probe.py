@@ -104,7 +104,8 @@ def probe(
 
 def approach(begin: FloatArray, first: FloatArray, settings: ProbeSettings) -> Iterator[tuple[float, FloatArray]]:
     """Yield share of the gains and targets (12,) [rad]: first the gains rise, then the joints move."""
-    begin, ticks = np.where(np.isnan(begin), first, begin), max(2, round(settings.approach * settings.rate_hz))
+    begin = np.where(np.isnan(begin), first, begin)
+    ticks = max(2, round(settings.approach * settings.rate_hz))
     for tick in range(ticks):
         yield (tick + 1) / ticks, begin
     for tick in range(ticks):
@@ -122,7 +123,10 @@ class _Rows:
     def __init__(
         self, robot: Robot, supervisor: Supervisor, signals: Signals, settings: ProbeSettings, wiring: Wiring | None
     ) -> None:
-        self._robot, self._supervisor, self._signals, self._settings = robot, supervisor, signals, settings
+        self._robot = robot
+        self._supervisor = supervisor
+        self._signals = signals
+        self._settings = settings
         self._wiring = wiring
         self._columns: dict[str, list[FloatArray | BoolArray | float]] = {
             name: [] for name in ("t", "asked", "q", "dq", "tau", "q_des", "receive", "temperature", "voltage")
@@ -140,15 +144,20 @@ class _Rows:
         """Time of the plant [s]."""
 
     def step(self, gain: float, target: FloatArray, watched: BoolArray, *, keep: bool, everyone: bool = False) -> None:
-        robot, settings, signals = self._robot, self._settings, self._signals
+        robot = self._robot
+        settings = self._settings
+        signals = self._signals
         self.end()
-        asked, zeros = robot.now, np.zeros(len(JOINTS))
+        asked = robot.now
+        zeros = np.zeros(len(JOINTS))
         joints = list(ALL) if everyone or self._wiring is None else self._turns.asked(watched, self._since)
-        kp, kd = np.full(len(JOINTS), gain * settings.kp), np.full(len(JOINTS), gain * settings.kd)
+        kp = np.full(len(JOINTS), gain * settings.kp)
+        kd = np.full(len(JOINTS), gain * settings.kd)
         command = JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros)
         self._since[joints] = asked
         tick = robot.step(command, 1.0 / settings.rate_hz, joints)
-        self.t, self._in_effect[joints] = tick.state.t, tick.sent.q_des[joints]
+        self.t = tick.state.t
+        self._in_effect[joints] = tick.sent.q_des[joints]
         self._row = (asked, joints, watched) if keep else None
         report = StepReport(
             state=robot.state(self._since),
@@ -168,7 +177,9 @@ class _Rows:
         self._robot.look()
         if self._row is None:
             return
-        (asked_at, joints, watched), self._row, report = self._row, None, self._robot.report
+        (asked_at, joints, watched) = self._row
+        self._row = None
+        report = self._robot.report
         asked = np.isin(ALL, joints)
         came = asked & (report["came"] > asked_at)  # an answer of another joint is delayed by a row or more
         row = (
@@ -192,7 +203,9 @@ class _Rows:
         if len(columns["t"]) < 2:
             raise PlantError(f"nothing was measured: {'it ended at once' if ended is None else ended.text}")
         begin = columns["t"][0]
-        settings, t, wiring = self._settings, columns["t"] - begin, self._wiring
+        settings = self._settings
+        t = columns["t"] - begin
+        wiring = self._wiring
         extra: dict[str, FloatArray] = {}
         if np.isfinite(columns["voltage"]).any():
             extra["voltage"] = _first_known(columns["voltage"])

@@ -27,8 +27,10 @@ GROUPS = {
 }
 """Joints that move at the same time, one group after another; the other joints are held at the centre."""
 
-EASE, REST = 0.3, 0.2
-"""Time in which a group returns to the centre, and then rests there while still read in every row [s]."""
+EASE = 0.3
+"""Time in which a group returns to the centre [s]."""
+REST = 0.2
+"""Time for which it then rests, still read in every row [s]."""
 
 _PER_LEG = len(JOINTS) // len(LEGS)
 
@@ -115,8 +117,10 @@ def probe_motion(description: RobotDescription, settings: ProbeSettings) -> Prob
             f"{settings.seconds:g} s are {share:.1f} s for each of {len(groups)} groups; "
             f"give at least {10 * len(groups)}"
         )
-    ease, rest = round(EASE * settings.rate_hz), round(REST * settings.rate_hz)
-    parts, watched = [], []
+    ease = round(EASE * settings.rate_hz)
+    rest = round(REST * settings.rate_hz)
+    parts = []
+    watched = []
     for number, group in enumerate(groups):
         moved = probe_targets(
             low,

@@ -83,9 +83,11 @@ def scan(link: Link, wiring: Wiring) -> list[BusScan]:
 
 def wiring_problems(found: list[BusScan], wiring: Wiring) -> list[str]:
     """Return the differences between a scan and the wiring, as sentences."""
-    problems, factory_id = [], wiring.motors().facts.factory_id
+    problems = []
+    factory_id = wiring.motors().facts.factory_id
     for joint, name in enumerate(JOINTS):
-        bus, motor = int(wiring.bus[joint]), int(wiring.motor[joint])
+        bus = int(wiring.bus[joint])
+        motor = int(wiring.motor[joint])
         if motor not in found[bus].motors:
             problems.append(f"{name} should be motor {motor} on {found[bus].name}, which does not answer")
     for bus, one in enumerate(found):

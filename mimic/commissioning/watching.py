@@ -61,7 +61,8 @@ class Watcher:
 
     def look(self, seconds: float) -> Look:
         """Look for a while, and return the newest readings, none older than that or two polls."""
-        motor_bus, link = self.motor_bus, self.motor_bus.link
+        motor_bus = self.motor_bus
+        link = self.motor_bus.link
         begin = link.now()
         while link.now() < begin + seconds:
             motor_bus.drain()
@@ -74,7 +75,8 @@ class Watcher:
         now = link.now()
         since = min(begin, now - 2 * POLL)
         q, dq, tau = motor_bus.readings(since)
-        (t0, bits), self._before = self._before, (now, motor_bus.bits.copy())
+        (t0, bits) = self._before
+        self._before = (now, motor_bus.bits.copy())
         newest = [f if came > since else None for f, came in zip(motor_bus.feedback, motor_bus.came, strict=True)]
         return Look(
             t=now,

@@ -127,7 +127,8 @@ class WireCheck:
     def _wait(self, enough: Callable[[FloatArray, FloatArray], bool], what: str) -> tuple[FloatArray, FloatArray]:
         """Return the first two readings that are enough and at rest."""
         link = self._watcher.motor_bus.link
-        end, before = link.now() + PATIENCE, self._look()
+        end = link.now() + PATIENCE
+        before = self._look()
         while link.now() < end:
             now = self._look()
             rests = np.abs(now[0] - before[0]).max() < STILL and _angle(before[1], now[1]) < STILL

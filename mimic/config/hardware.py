@@ -8,8 +8,10 @@ from typing import Literal
 from mimic.config.play import RAMP
 from mimic.config.ranges import check_range
 
-TETHER_TORQUE, TETHER_RAMP = 9.0, 6.0
-"""On a rope: largest torque of each motor [N m] and time of the start [s]."""
+TETHER_TORQUE = 9.0
+"""Largest torque of each motor on a rope [N m]."""
+TETHER_RAMP = 6.0
+"""Time of the start on a rope [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -11,9 +11,10 @@ from mimic.config.ranges import check_range
 DEFAULT_ROBOT = "cyberdog2"
 """The robot where none is named."""
 
-RAMP, TRIM = 2.0, 0.5
-"""Time in which a robot that lies without power is brought into the crouch, where its policy begins [s], and in which
-its targets then move on until the joints are there [s]."""
+RAMP = 2.0
+"""Time in which a robot that lies without power is brought into the crouch, where its policy begins [s]."""
+TRIM = 0.5
+"""Time in which its targets then move on until the joints are there [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -30,7 +30,8 @@ def fitted(value: Any, hint: Any) -> Any:
     Raises:
         TypeError: If it does not fit.
     """
-    kind, parts = get_origin(hint), get_args(hint)
+    kind = get_origin(hint)
+    parts = get_args(hint)
     if kind in (Union, UnionType):
         for part in parts:
             try:
@@ -55,7 +56,8 @@ def fitted(value: Any, hint: Any) -> Any:
 
 def expected(hint: Any) -> str:
     """Return what a value must be, in words."""
-    kind, parts = get_origin(hint), get_args(hint)
+    kind = get_origin(hint)
+    parts = get_args(hint)
     if kind in (Union, UnionType):
         return " or ".join(expected(part) for part in parts if part is not NoneType)
     if kind is Literal:

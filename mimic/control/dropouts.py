@@ -29,8 +29,10 @@ class DropoutFilter:
         self._dq = np.zeros_like(self._q)
         self._missing = np.zeros(len(self._q), dtype=int)
         self._quat = np.array([1.0, 0.0, 0.0, 0.0])
-        self._omega, self._blind = np.zeros(3), 0
-        self._bias, self._rests = np.zeros(3), 0
+        self._omega = np.zeros(3)
+        self._blind = 0
+        self._bias = np.zeros(3)
+        self._rests = 0
 
     def rest(self, state: RobotState) -> None:
         """Learn the gyro's bias from a state of a robot that lies: the mean while gyro and joints show rest."""

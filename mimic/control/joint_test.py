@@ -19,11 +19,17 @@ from mimic.records import JOINTS, LEGS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import all_toes
 
-TILT, LEAST, MOST = 0.02, 0.1, 0.25
-"""A joint moves so far that the trunk tilts by this [rad], but at least and at most so far [rad]."""
+TILT = 0.02
+"""A joint moves so far that the trunk tilts by this [rad],"""
+LEAST = 0.1
+"""… but at least so far [rad],"""
+MOST = 0.25
+"""… and at most so far [rad]."""
 
-MOVE_TICKS, REST_TICKS = 12, 2
-"""Control steps of a joint's motion, there and back, and until the next."""
+MOVE_TICKS = 12
+"""Control steps of a joint's motion, there and back."""
+REST_TICKS = 2
+"""Control steps until the next motion."""
 
 STEP = 1e-4
 """Of a derivative [rad]."""
@@ -73,7 +79,9 @@ class Answer:
 
 def _mistakes() -> Iterator[Mistake]:
     """Return none at first, and then all that are looked for."""
-    joints, plus, swaps = np.arange(len(JOINTS)), np.ones(len(JOINTS)), dict[str, list[tuple[int, int]]]()
+    joints = np.arange(len(JOINTS))
+    plus = np.ones(len(JOINTS))
+    swaps = dict[str, list[tuple[int, int]]]()
     yield Mistake(text="", order=joints, sign=plus)
     for joint, name in enumerate(JOINTS):
         yield Mistake(text=f"the sign of {name} is wrong", order=joints, sign=np.where(joints == joint, -1.0, 1.0))
@@ -149,7 +157,8 @@ class JointTest:
         """Return the mistake that explains most, from the squares that each leaves of each joint's tilt (12, M)."""
         gains = [0.0]
         for mistake, rest in zip(self.mistakes[1:], left.T[1:], strict=True):
-            before, after = left[mistake.touches, 0].sum(), rest[mistake.touches].sum()
+            before = left[mistake.touches, 0].sum()
+            after = rest[mistake.touches].sum()
             gains.append(before - after if after < EXPLAINED * before else 0.0)
         return self.mistakes[int(np.argmax(gains))].text
 
@@ -173,7 +182,8 @@ def _unexplained(answers: Sequence[Answer]) -> str:
 
 def _turn(answers: Sequence[Answer]) -> str:
     """Return by how much the IMU is turned about the vertical, if it is."""
-    tilted, expected = (np.concatenate([getattr(a, name) for a in answers]) for name in ("tilted", "expected"))
+    tilted = np.concatenate([answer.tilted for answer in answers])
+    expected = np.concatenate([answer.expected for answer in answers])
     across = np.sum(expected[:, 0] * tilted[:, 1] - expected[:, 1] * tilted[:, 0])
     angle = math.atan2(across, np.sum(expected * tilted))
     return f"the IMU is turned by {np.rad2deg(angle):.0f} deg about the vertical" if abs(angle) > TURNED else ""

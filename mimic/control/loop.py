@@ -29,6 +29,7 @@ from mimic.records import (
     PHASES,
     Command,
     CommandTrack,
+    FloatArray,
     HealthLog,
     JointSamples,
     LiveCommands,
@@ -230,5 +231,8 @@ def _damp(run: Run) -> None:
 def _joined(samples: list[JointSamples]) -> JointSamples | None:
     if not samples:
         return None
-    names = ("t", "q", "dq", "tau", "q_des")
-    return JointSamples(**{name: np.concatenate([getattr(s, name) for s in samples]) for name in names})
+
+    def whole(name: str) -> FloatArray:
+        return np.concatenate([getattr(part, name) for part in samples])
+
+    return JointSamples(t=whole("t"), q=whole("q"), dq=whole("dq"), tau=whole("tau"), q_des=whole("q_des"))

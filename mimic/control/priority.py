@@ -7,9 +7,14 @@ import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 
-EMULATOR, RECORDER, LOOP, SENDER = 5, 9, 10, 20
-"""Priorities of an emulated robot, of who writes the log, of the control loop, and of the process that sends to the
-robot."""
+EMULATOR = 5
+"""Priority of an emulated robot."""
+RECORDER = 9
+"""Priority of who writes the log."""
+LOOP = 10
+"""Priority of the control loop."""
+SENDER = 20
+"""Priority of the process that sends to the robot."""
 
 
 @contextmanager

@@ -23,7 +23,9 @@ class PacedPlant:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._plant, self._clock, self._sleep = plant, clock, sleep
+        self._plant = plant
+        self._clock = clock
+        self._sleep = sleep
         self._due = 0.0
         self.overruns = 0
         """Steps that ended more than a control step too late."""

@@ -26,8 +26,10 @@ from mimic.control.supervisor import Event
 from mimic.io.store import plain
 from mimic.records import AXES, Health, HealthLog, Record, RunLog
 
-ROWS, EVENTS = "log.rows", "events.jsonl"
-"""Files in a run folder; the rows are removed once log.parquet exists."""
+ROWS = "log.rows"
+"""File of rows in a run folder, removed once log.parquet exists."""
+EVENTS = "events.jsonl"
+"""File of events in a run folder."""
 
 MOST_WAITING = 3000
 """Rows and events that wait for the disk at most: a minute of them, 6 MB."""
@@ -88,9 +90,9 @@ class _Disk:
 
 def _shapes(kind: type[Record], observation: int) -> dict[str, tuple[int, ...]]:
     """Return the shape of a row of each array field."""
-    lengths = {"observation": observation}
+    lengths = {name: len(labels) for name, labels in AXES.items()} | {"observation": observation}
     arrays = [f for f in fields(kind) if "axes" in f.metadata]  # type: ignore[arg-type]
-    return {f.name: tuple(lengths.get(a) or len(AXES[a]) for a in f.metadata["axes"]) for f in arrays}
+    return {f.name: tuple(map(lengths.__getitem__, f.metadata["axes"])) for f in arrays}
 
 
 def health_row(health: Health | None, t: float, clamped: int, mode: int) -> dict[str, Any]:
@@ -117,7 +119,8 @@ class RunRecorder:
             metadata: Of the RunLog that `salvage` returns.
         """
         health = {_HEALTH + name: shape for name, shape in _shapes(HealthLog, observation).items()}
-        self._folder, self._has_rows = folder, False
+        self._folder = folder
+        self._has_rows = False
         self._rows = RowFile(folder / ROWS, _shapes(RunLog, observation) | health, metadata)
         self._disk = _Disk()
         self._events = os.open(folder / EVENTS, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)

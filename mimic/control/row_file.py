@@ -35,7 +35,8 @@ class RowFile:
             metadata: Plain data, stored in the first line.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
-        self.path, self._shapes = path, {name: tuple(shape) for name, shape in shapes.items()}
+        self.path = path
+        self._shapes = {name: tuple(shape) for name, shape in shapes.items()}
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
         head = {"form": _FORM, "shapes": self._shapes, "metadata": plain(metadata)}
         os.write(self._file, json.dumps(head).encode() + b"\n")

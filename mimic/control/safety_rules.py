@@ -14,8 +14,10 @@ from mimic.geometry import up_cosine
 from mimic.metrics import uprightness
 from mimic.records import DOUBLED, JOINTS, PHASES
 
-BOARD_LATE, BOARD_TIMED_OUT = 0x01, 0x02
-"""Bits of a motion board's error flag: a late command, and commands that are ignored."""
+BOARD_LATE = 0x01
+"""Bit of a motion board's error flag: a command was late."""
+BOARD_TIMED_OUT = 0x02
+"""Bit of the same: commands are ignored."""
 
 _SIT = "sit down if upright and at most one motor is lost, else damp"
 
@@ -108,7 +110,8 @@ def motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> It
         yield Alert(outcome="SIT_DOWN", text=f"no motor has answered for {float(health.age.min()):.2f} s", about="all")
         return
     for joint in silent:
-        missed, age = int(health.missed[joint]), float(health.age[joint])
+        missed = int(health.missed[joint])
+        age = float(health.age[joint])
         yield _failed(int(joint), f"motor {JOINTS[joint]} has not answered for {missed} ticks ({age:.2f} s)")
 
 
@@ -147,7 +150,8 @@ def too_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
     """Motors and windings that are warm, and too warm."""
     temperature = report.health.temperature
     for joint in np.flatnonzero(temperature >= limits.temperature_warning):
-        name, text = JOINTS[joint], f"motor {JOINTS[joint]} is at {temperature[joint]:.0f} degC"
+        name = JOINTS[joint]
+        text = f"motor {JOINTS[joint]} is at {temperature[joint]:.0f} degC"
         if temperature[joint] < limits.temperature:
             yield Alert(outcome="RUN", text=f"{text}; it sits down at {limits.temperature:g} degC", about=name)
         else:
@@ -196,7 +200,8 @@ def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Ite
 )
 def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Readings that no joint can have, that turn too fast, or that do not change although the targets do."""
-    description, q = history.description, report.state.q
+    description = history.description
+    q = report.state.q
     outside = np.maximum(q - description.q_max, description.q_min - q)
     found: dict[int, str] = {}
     for joint in np.flatnonzero(history.fast >= 2):
@@ -329,7 +334,9 @@ def falling(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
 )
 def step_late(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Control steps that end late."""
-    overrun, row, small = report.health.late, history.overruns, history.small_overruns
+    overrun = report.health.late
+    row = history.overruns
+    small = history.small_overruns
     milliseconds = 1e3 * overrun
     if overrun > limits.longest_overrun or row >= limits.overrun_ticks:
         yield Alert(outcome="DAMP", text=f"a tick overran by {milliseconds:.0f} ms, {row} in a row")

@@ -39,7 +39,8 @@ class Signals:
             self.terminated = True
             return
         if number == signal.SIGHUP:
-            self.interrupts, self.hung_up = max(self.interrupts, 1), True
+            self.interrupts = max(self.interrupts, 1)
+            self.hung_up = True
             return
         self.interrupts += 1
         if self.interrupts - self._read >= FORCED:

@@ -23,8 +23,10 @@ START_FINDS = (
 )
 """What it finds, in words."""
 
-TRIM_RATE, MOST_TRIM = 0.15, 0.2
-"""Share of its distance by which a joint's target moves on in each control step, and how far at most [rad]."""
+TRIM_RATE = 0.15
+"""Share of its distance by which a joint's target moves on in each control step."""
+MOST_TRIM = 0.2
+"""How far it moves on at most [rad]."""
 
 LIE = PHASES.index("lie")
 
@@ -44,7 +46,8 @@ class Ramp:
     def __init__(self, q: FloatArray, description: RobotDescription, seconds: float) -> None:
         """Begin at joints q (12,) [rad]; gains and joints take so many seconds [s]."""
         self._description = d = description
-        self._begin, self._lie = np.clip(q, d.q_min, d.q_max), d.poses["lie"]
+        self._begin = np.clip(q, d.q_min, d.q_max)
+        self._lie = d.poses["lie"]
         self._moving = max(2, round(seconds / d.dt))
         self.ticks = self._moving + round(TRIM / d.dt)
         """How many control steps it takes."""
@@ -63,7 +66,8 @@ class Ramp:
 
 def start(run: Run) -> None:
     """Bring a robot into the crouch, and damp it where it does not get there as its policy was trained to begin."""
-    d, safety = run.plant.description, run.safety
+    d = run.plant.description
+    safety = run.safety
     ramp = Ramp(run.sensed.q, d, safety.ramp)
     for tick in range(ramp.ticks):
         _hold(run, ramp.command(tick, run.sensed.q))
@@ -81,8 +85,10 @@ def _hold(run: Run, command: JointCommand) -> None:
 
 def held(q_des: FloatArray, description: RobotDescription, gain: float = 1.0) -> JointCommand:
     """Return the command that holds joints (12,) [rad] as stiffly as the ramp, or with a share of that."""
-    d, zeros = description, np.zeros(len(JOINTS))
-    kp, kd = zeros + gain * d.start.kp, zeros + gain * d.start.kd
+    d = description
+    zeros = np.zeros(len(JOINTS))
+    kp = zeros + gain * d.start.kp
+    kd = zeros + gain * d.start.kd
     return JointCommand(q_des=np.clip(q_des, d.q_min, d.q_max), dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros)
 
 
@@ -102,7 +108,8 @@ def _test(run: Run, trim: FloatArray) -> None:
     test = _prepared(description)
     answers = []
     for joint in range(len(JOINTS)):
-        q, quat = [], []
+        q = []
+        quat = []
         for q_des in test.targets(joint):
             _hold(run, held(q_des + trim, description))
             q.append(run.sensed.q)

@@ -49,7 +49,8 @@ class StepHistory:
     """What the rules need of the steps before: counters, the change since the last step, and the thermal model."""
 
     def __init__(self, description: RobotDescription, limits: Limits, *, moves: bool = True) -> None:
-        self.description, self._limits = description, limits
+        self.description = description
+        self._limits = limits
         self.moves = moves
         """Whether the motors follow their targets; False in a dry run."""
         self.failed: set[int] = set()
@@ -101,7 +102,9 @@ class StepHistory:
 
     def update(self, report: StepReport) -> None:
         """Take a step."""
-        state, health, limits = report.state, report.health, self._limits
+        state = report.state
+        health = report.health
+        limits = self._limits
         self._warm(report)
         self.jump = np.abs(state.q - self._last.state.q) if self._last is not None else np.full(len(JOINTS), np.nan)
         self.overruns = self.overruns + 1 if health.late > limits.overrun else 0
@@ -132,7 +135,8 @@ class StepHistory:
 
     def _compare_imu(self, report: StepReport) -> None:
         """Compare an orientation with the last one that was trusted: does it repeat it, and turn as the rates say?"""
-        state, trusted = report.state, self._trusted
+        state = report.state
+        trusted = self._trusted
         rotation = rotation_from_quat(state.quat_WB)
         if self._last is not None and report.health.imu_count == self._last.health.imu_count:
             self.rotation = np.full((3, 3), np.nan) if self.doubtful else rotation
@@ -161,7 +165,8 @@ class StepHistory:
             return
         self.rotation = rotation
         if np.isfinite(rotation).all() and np.isfinite(state.omega_B).all():
-            self._trusted, self._trusted_rotation = report, rotation
+            self._trusted = report
+            self._trusted_rotation = rotation
 
     def _keep_answers(self, report: StepReport) -> None:
         """Keep times of answers and voltages; their medians are known once the memory is half full."""
@@ -170,7 +175,8 @@ class StepHistory:
 
     def _compare_targets(self, report: StepReport) -> None:
         """Compare readings with targets: is a joint frozen, too fast, or far from where it should be?"""
-        state, limits = report.state, self._limits
+        state = report.state
+        limits = self._limits
         self.fast = np.where(np.abs(state.dq) > limits.overspeed, self.fast + 1, 0)
         if report.q_des is None:
             return
@@ -187,7 +193,8 @@ class StepHistory:
 
     def _compare_legs(self, report: StepReport) -> None:
         """Compute the heights of the toes against each other, by legs and IMU."""
-        state, limits = report.state, self._limits
+        state = report.state
+        limits = self._limits
         q = state.q.copy()
         q[list(self.distrusted)] = np.nan
         toes = all_toes(q, self.description) @ self.rotation[2]

@@ -67,7 +67,10 @@ class Supervisor:
         """
         self._strict = strict
         limits = limits_for(description) if limits is None else limits
-        self._description, self._limits, self._rules, self._sits = description, limits, rules, sits
+        self._description = description
+        self._limits = limits
+        self._rules = rules
+        self._sits = sits
         self._history = StepHistory(description, limits, moves=moves)
         self._keeps_history = any(rule.reads_history for rule in rules)
         self._seen: set[tuple[str, str, int]] = set()
@@ -122,7 +125,8 @@ class Supervisor:
         self._note(rule, "", SafetyMode.RUN, text, t)
 
     def _weigh(self, rule: str, alert: Alert, report: StepReport) -> None:
-        mode, text = SafetyMode[alert.outcome], alert.text
+        mode = SafetyMode[alert.outcome]
+        text = alert.text
         if mode == SafetyMode.RUN and self._strict:
             mode = SafetyMode.SIT_DOWN
         if mode == SafetyMode.SIT_DOWN and not self._sits:
@@ -130,7 +134,8 @@ class Supervisor:
         elif mode == SafetyMode.SIT_DOWN:
             reason = self._cannot_sit_down(report, needs_upright=alert.needs_upright)
             if reason is not None:
-                mode, text = SafetyMode.DAMP, f"{text}; not sitting down, because {reason}"
+                mode = SafetyMode.DAMP
+                text = f"{text}; not sitting down, because {reason}"
         self._note(rule, alert.about, mode, text, report.state.t)
 
     def _note(self, rule: str, about: str, mode: SafetyMode, text: str, t: float) -> None:
@@ -160,7 +165,8 @@ class Supervisor:
 
     def _rest(self, report: StepReport) -> SafetyMode:
         """Stop a damped robot once it rests, or after the longest time for damping."""
-        t, limits = report.state.t, self._limits
+        t = report.state.t
+        limits = self._limits
         moving = not np.nanmax(np.abs(report.state.dq), initial=0.0) < limits.rest_speed
         known = np.isfinite(report.state.dq).any()
         if moving or not known:

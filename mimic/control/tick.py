@@ -82,7 +82,10 @@ class Run:
         progress: Callable[[int], None] | None,
         safety: Safety,
     ) -> None:
-        self.plant, self.sink, self.progress, self.safety = plant, sink, progress, safety
+        self.plant = plant
+        self.sink = sink
+        self.progress = progress
+        self.safety = safety
         self._width = width
         self._arm_torques = ArmTorques(plant.description)
         self._rows: dict[str, list[Any]] = {}
@@ -262,7 +265,8 @@ class Run:
     def _log_events(self) -> None:
         """Write new events to the recorder."""
         events = self.safety.supervisor.events
-        new, self._events = events[self._events :], len(events)
+        new = events[self._events :]
+        self._events = len(events)
         if self.safety.recorder is not None:
             try:
                 for event in new:

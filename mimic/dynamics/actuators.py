@@ -32,7 +32,8 @@ class Reference:
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Reference:
         """Return that of a model without contacts and delays; inputs are to be filled in."""
-        own, nothing = copy(model), np.zeros((model.nu, model.njnt))
+        own = copy(model)
+        nothing = np.zeros((model.nu, model.njnt))
         own.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         own.actuator_history[:, 0] = 0
         own.actuator_actearly[:] = False
@@ -55,8 +56,10 @@ class FileDrives:
         """Read a compiled file."""
         self.reference = Reference.of(model)
         """The file without what was dropped."""
-        self.kp, self.kd = np.zeros(model.njnt), np.zeros(model.njnt)
-        """(J,) [N m/rad], [N m s/rad]"""
+        self.kp = np.zeros(model.njnt)
+        """(J,) [N m/rad]"""
+        self.kd = np.zeros(model.njnt)
+        """(J,) [N m s/rad]"""
         self._model = model
         self._told: dict[str, list[str]] = {}
         self._ranges: dict[int, dict[int, FloatArray]] = {}
@@ -79,7 +82,8 @@ class FileDrives:
         )
 
     def _enabled(self, a: int) -> bool:
-        option, group = self._model.opt, int(self._model.actuator_group[a])
+        option = self._model.opt
+        group = int(self._model.actuator_group[a])
         if option.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
             return False
         return not (0 <= group <= 30 and option.disableactuator >> group & 1)
@@ -91,7 +95,8 @@ class FileDrives:
 
     def _read(self, a: int) -> None:
         """Add an actuator to the drive of its joint."""
-        m, reference = self._model, self._own
+        m = self._model
+        reference = self._own
         strange = self._strange(a)
         if strange:
             self._drop(strange, a)
@@ -101,8 +106,10 @@ class FileDrives:
             self._drop("activation dynamics (timeconst)", a)
         if m.actuator_delay[a] > 0:
             self._drop("delays", a)
-        j, u = int(m.actuator_trnid[a, 0]), int(m.actuator_ctrladr[a])
-        gear, gain = float(m.actuator_gear[m.actuator_outadr[a], 0]), float(m.actuator_gainprm[a, 0])
+        j = int(m.actuator_trnid[a, 0])
+        u = int(m.actuator_ctrladr[a])
+        gear = float(m.actuator_gear[m.actuator_outadr[a], 0])
+        gain = float(m.actuator_gainprm[a, 0])
         affine = m.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
         constant, position, speed = m.actuator_biasprm[a, :3] if affine else np.zeros(3)
         if constant:
@@ -138,7 +145,9 @@ class FileDrives:
 
     def _limit(self, j: int) -> float:
         """Return the peak torque of a joint's drive, the same in both directions."""
-        m, reference, ranges = self._model, self._own, self._ranges.get(j, {})
+        m = self._model
+        reference = self._own
+        ranges = self._ranges.get(j, {})
         own = np.abs(m.jnt_actfrcrange[j]).max() if m.jnt_actfrclimited[j] else UNLIMITED
         most = sum(float(np.abs(r).max()) for r in ranges.values())
         most = min(most or UNLIMITED, UNLIMITED)
@@ -168,12 +177,16 @@ STATES = 6
 SAME = 1e-6
 """Difference of accelerations over the largest of a state: numbers of a description have ten digits."""
 
-NEAR, FAR = 0.03, 1.0
-"""How far targets are from positions, in turn [rad]: within limits of torque, and beyond."""
+NEAR = 0.03
+"""Distance of targets from positions within the limits of torque [rad]."""
+FAR = 1.0
+"""Distance beyond them [rad]."""
 
-SLOW, FAST = 3.0, 30.0
-"""How fast joints are, FAST in each third state [rad/s]; never faster than a motor can turn them, where the law and
-MuJoCo's motors differ (docs/architecture.md)."""
+SLOW = 3.0
+"""Joint speed in two of three states [rad/s]."""
+FAST = 30.0
+"""In each third state [rad/s]. Never faster than a motor can turn a joint: there the law and MuJoCo's motors differ
+(docs/architecture.md)."""
 
 
 def refuse_other_machine(machine: MachineModel, reference: Reference, source: object, advice: str) -> None:
@@ -216,8 +229,10 @@ def touches(model: mujoco.MjModel, machine: MachineModel) -> bool:
 
 def _states(machine: MachineModel) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
     """Draw positions, velocities, targets and forces of all joints, each (J,), repeatably."""
-    rng, count = np.random.default_rng(0), len(machine.joints)
-    low, high = np.maximum(machine.low, -np.pi), np.minimum(machine.high, np.pi)
+    rng = np.random.default_rng(0)
+    count = len(machine.joints)
+    low = np.maximum(machine.low, -np.pi)
+    high = np.minimum(machine.high, np.pi)
     for i in range(STATES):
         q = rng.uniform(low, np.maximum(low, high))
         dq = np.minimum((SLOW, FAST)[i % 3 == 2], machine.drives.speed) * rng.uniform(-1.0, 1.0, count)
@@ -254,8 +269,11 @@ def _of_machine(
 def _acceleration(model: mujoco.MjModel, data: mujoco.MjData, q: FloatArray, dq: FloatArray) -> FloatArray:
     """Return the accelerations at a state, solved to the end."""
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    model.opt.solver, model.opt.iterations, model.opt.tolerance = mujoco.mjtSolver.mjSOL_NEWTON, 100, 0.0
+    model.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    model.opt.iterations = 100
+    model.opt.tolerance = 0.0
     model.opt.noslip_iterations = 0
-    data.qpos[:], data.qvel[:] = q, dq
+    data.qpos[:] = q
+    data.qvel[:] = dq
     mujoco.mj_forward(model, data)
     return np.array(data.qacc)

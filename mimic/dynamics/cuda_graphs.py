@@ -55,7 +55,8 @@ class ReplayedWarp:
     """Warp launches on fixed arrays: captured at the first call on a GPU, on PyTorch's stream."""
 
     def __init__(self, function: Callable[[], None], device: str) -> None:
-        self._function, self._device = function, device
+        self._function = function
+        self._device = device
         self._graph: Any = None
         self._streams: dict[int, Any] = {}
 

@@ -174,7 +174,8 @@ def write_effects(effects: EffectSet, path: Path, comment: Iterable[str] = ()) -
             lines.append(f"source = {_text(e.source)}")
         if e.intervals:
             lines.append("[effect.interval]")
-            lines += [f"{n} = [{', '.join(_numbers(r, True) for r in rows)}]" for n, rows in e.intervals.items()]
+            for name, rows in e.intervals.items():
+                lines.append(f"{name} = [{', '.join(_numbers(row, True) for row in rows)}]")
     with written_whole(path) as part:
         part.write_text("\n".join(lines).strip() + "\n", encoding="utf-8")
     return path

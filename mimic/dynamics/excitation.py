@@ -30,8 +30,10 @@ SHORTEST = 10.0
 LONGEST = 1e5
 """[s]"""
 
-_HOLD, _BLEND = 0.5, 0.4
-"""Rest at the centre before each multisine, and the way from one section to the next [s]."""
+_HOLD = 0.5
+"""Rest at the centre before each multisine [s]."""
+_BLEND = 0.4
+"""Time from one section to the next [s]."""
 
 _SHARES = {"chirp": 0.2, "steps": 0.2, "triangles": 0.3, "poses": 0.1, "small": 0.1, "large": 0.1}
 """Sections between the two multisines, as shares of that time."""
@@ -139,7 +141,8 @@ class _Draw:
         n = len(self.times(seconds))
         u = np.empty((n, self.joints))
         for joint in range(self.joints):
-            row, level = 0, 0.0
+            row = 0
+            level = 0.0
             while row < n:
                 stop = row + max(1, round(self.rng.uniform(shortest, longest) * self.rate))
                 new = self.rng.uniform(0.4, 1.0) * reach * (-1 if level > 0 else 1)
@@ -156,7 +159,8 @@ class _Draw:
 
     def poses(self, seconds: float) -> FloatArray:
         """Still poses of 0.8 to 1.2 s all over the range, all joints at once, reached by smooth moves of 0.3 s."""
-        n, u = len(self.times(seconds)), []
+        n = len(self.times(seconds))
+        u = []
         level = np.zeros(self.joints)
         ease = _ease(max(2, round(0.3 * self.rate)))
         while sum(map(len, u)) < n:
@@ -225,7 +229,9 @@ def _ease(n: int) -> FloatArray:
 
 def _joined(signals: list[_Section], count: int, blend: int) -> tuple[FloatArray, tuple[tuple[str, int, int], ...]]:
     """Sections one after another; the first rows of each lead over from the last target before."""
-    rows, sections, total = [], [], 0
+    rows: list[FloatArray] = []
+    sections = []
+    total = 0
     for name, u in signals:
         if rows and not np.array_equal(rows[-1][-1], u[0]):
             n = min(blend, len(u))

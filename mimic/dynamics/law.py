@@ -29,9 +29,10 @@ Parameters = Mapping[tuple[str, str], Any]
 LEAST_SUPPLY = 0.1
 """Share of the supply that is left whatever is drawn."""
 
-NEWTON, EXACT = 10, 1e-9
-"""Most steps towards the share of the supply that is left, and by how much it may be off; in single precision by a few
-roundings, below which steps would leave the root again."""
+NEWTON = 10
+"""Most steps towards the share of the supply that is left."""
+EXACT = 1e-9
+"""Error at which they end; in single precision a few roundings, below which steps would leave the root again."""
 
 NOTICED = 1e-5
 """Torque by which the mean of what two targets in a step ask for must be limited otherwise than each of them [N m]."""
@@ -109,7 +110,11 @@ class Law:
             shape: (N, J).
             xp: ``numpy``, or an object with its functions on tensors such as ``torch``.
         """
-        self.dt, self.xp, self._d, self._p, self._shape = timestep, xp, drives, dict(parameters), shape
+        self.dt = timestep
+        self.xp = xp
+        self._d = drives
+        self._p = dict(parameters)
+        self._shape = shape
         self._has = {name for name, _ in self._p}
         self._zero = drives.kp * 0.0 + xp.zeros_like(drives.kp)[None] + self._full(0.0)
         self.needed: Any = 0.0
@@ -132,8 +137,10 @@ class Law:
 
     def _fixed(self) -> None:
         """Compute what does not change from step to step."""
-        xp, has = self.xp, self._has
-        self._kp, self._kd = xp.zeros_like(self._zero), xp.zeros_like(self._zero)
+        xp = self.xp
+        has = self._has
+        self._kp = xp.zeros_like(self._zero)
+        self._kd = xp.zeros_like(self._zero)
         self.set_gains(self._d.kp, self._d.kd)
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
@@ -157,7 +164,8 @@ class Law:
         for name in state:
             self.states[name] = xp.zeros_like(self._zero)
         self._lag_u = self._lag("target_filter")
-        self._lag_v, self._lag_t = self._lag("velocity_lag"), self._lag("torque_lag")
+        self._lag_v = self._lag("velocity_lag")
+        self._lag_t = self._lag("torque_lag")
 
     def _lag(self, name: str) -> tuple[Any, Any] | None:
         """Return what is left of a first-order lag's state after a step, and its mean share during the step."""
@@ -187,18 +195,22 @@ class Law:
 
     def set_gains(self, kp: Any, kd: Any) -> None:
         """Give the drives other gains from now on, (J,) or (N, J), on which the effects act as on the first ones."""
-        kp, kd = self._zero + kp, self._zero + kd
+        kp = self._zero + kp
+        kd = self._zero + kd
         for name, of_kp, of_kd in (
             ("gains", "kp", "kd"),
             ("kt_gain", "factor", "factor"),
             ("encoder_scale", "factor", "factor"),
         ):
             if name in self._has:
-                kp, kd = kp * self.get(name, of_kp), kd * self.get(name, of_kd)
+                kp = kp * self.get(name, of_kp)
+                kd = kd * self.get(name, of_kd)
         if self._d.volts is not None:
             more = self._stall() / (self._d.volts * self._d.kt / self._d.resistance)
-            kp, kd = kp * more, kd * more * self.get("motor", "kt") / self._d.kt
-        self._kp[:], self._kd[:] = kp, kd
+            kp = kp * more
+            kd = kd * more * self.get("motor", "kt") / self._d.kt
+        self._kp[:] = kp
+        self._kd[:] = kd
 
     def _stall(self) -> Any:
         """Return the torque of voltage drives at rest with full duty (N, J)."""
@@ -258,7 +270,8 @@ class Law:
 
     def _beside(self, q: Any) -> Any:
         """Return what an eccentric encoder reads too much."""
-        xp, get = self.xp, self.get
+        xp = self.xp
+        get = self.get
         angle = self._zero + q
         cosine = get("encoder_eccentricity", "cosine") * xp.cos(angle)
         return cosine + get("encoder_eccentricity", "sine") * xp.sin(angle)
@@ -280,13 +293,15 @@ class Law:
         return q if self.rotor is None else self.xp.where(self.rotor["there"], self.states["theta"], q)
 
     def _rounded(self, value: Any) -> Any:
-        xp, step = self.xp, self._zero + self.get("encoder_step", "angle")
+        xp = self.xp
+        step = self._zero + self.get("encoder_step", "angle")
         safe = xp.clip(step, 1e-9, None)
         return xp.where(step > 0, safe * xp.round(value / safe), value)
 
     def settle(self, dq: Any) -> None:
         """Bring the states to the end of the step just made, whose velocities are dq (N, J)."""
-        s, dt = self.states, self.dt
+        s = self.states
+        dt = self.dt
         if self.rotor is not None:
             s["omega"] = s["omega_open"] + s["omega_slope"] * dq
             s["theta"] = s["theta"] + dt * s["omega"]
@@ -314,18 +329,26 @@ class Law:
             force: Torque put in besides the servo's (N, J) [N m].
             parts: Shares of the step and the targets in effect during each (N, J), where they may be several.
         """
-        xp, has, get, s = self.xp, self._has, self.get, self.states
-        theta, omega = self._position(q), dq
+        xp = self.xp
+        has = self._has
+        get = self.get
+        s = self.states
+        theta = self._position(q)
+        omega = dq
         if self.rotor is not None:
             omega = xp.where(self.rotor["there"], s["omega"], dq)
-        kp, kd, ctrl, bias = self._kp, self._kd, target + self._zero, self._zero
+        kp = self._kp
+        kd = self._kd
+        ctrl = target + self._zero
+        bias = self._zero
         if "encoder_offset" in has:
             ctrl = ctrl - get("encoder_offset", "angle")
         if "encoder_scale" in has:
             ctrl = ctrl / get("encoder_scale", "factor")
         if self._lag_u is not None:
             left, held = self._lag_u
-            wanted, ctrl = ctrl, ctrl + held * (s["goal"] - ctrl)
+            wanted = ctrl
+            ctrl = ctrl + held * (s["goal"] - ctrl)
             parts = [(share, target + (1 - held) * (part - target)) for share, part in parts]
             s["goal"] = wanted + left * (s["goal"] - wanted)
         if self._d.volts is not None:
@@ -335,7 +358,8 @@ class Law:
             if "heat" in s:
                 factor = factor * (1.0 - get("kt_heat", "loss") * s["heat"])
             factor = xp.clip(factor + self._zero, 0.05, None)
-            kp, kd = kp * factor, kd * factor
+            kp = kp * factor
+            kd = kd * factor
         if "encoder_step" in has:
             bias = bias - kp * (self._rounded(theta) - theta)
         if "encoder_eccentricity" in has:
@@ -344,13 +368,17 @@ class Law:
             s["velocity_before"] = omega + self._zero
         if self._lag_v is not None:
             held = self._lag_v[1]
-            bias, kd = bias - kd * held * s["velocity"], kd * (1 - held)
+            bias = bias - kd * held * s["velocity"]
+            kd = kd * (1 - held)
         if force is not None:
             bias = bias + force
         if self._lag_t is not None:
             held = self._lag_t[1]
-            s["torque_open"], s["torque_kd"] = kp * (ctrl - theta) + bias, kd
-            kp, kd, bias = kp * (1 - held), kd * (1 - held), bias * (1 - held) + held * s["torque"]
+            s["torque_open"] = kp * (ctrl - theta) + bias
+            s["torque_kd"] = kd
+            kp = kp * (1 - held)
+            kd = kd * (1 - held)
+            bias = bias * (1 - held) + held * s["torque"]
         asked = kp * (ctrl - theta) + bias - kd * omega
         low, high = self._torque_limits(omega, self._supply_left(asked, omega))
         tau = xp.minimum(xp.maximum(asked, low), high)
@@ -358,7 +386,8 @@ class Law:
             mean, load, square, free = self._one_by_one(parts, target, asked, kp, low, high)
             kp, kd, bias, tau = self._where_limited(mean, free, kp, kd, bias, omega, tau)
         else:
-            load, square = xp.abs(tau), tau * tau
+            load = xp.abs(tau)
+            square = tau * tau
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
         friction, bent = self._friction(q, dq, load, tau)
@@ -397,13 +426,17 @@ class Law:
         where a target asks for more than it can, and torques of both signs cancel in their mean but not in gears and
         windings.
         """
-        xp, tau, free = self.xp, self._zero, self._zero
-        size, square = self._zero, self._zero
+        xp = self.xp
+        tau = self._zero
+        free = self._zero
+        size = self._zero
+        square = self._zero
         stiffness = self._stiffness(kp)
         for share, target in parts:
             one = asked + stiffness * (target - mean)
             limited = xp.minimum(xp.maximum(one, low), high)
-            tau, free = tau + share * limited, free + xp.where(limited == one, share + self._zero, self._zero)
+            tau = tau + share * limited
+            free = free + xp.where(limited == one, share + self._zero, self._zero)
             if "load_friction" in self._has:
                 size = size + share * xp.abs(limited)
             if "kt_heat" in self._has:
@@ -425,16 +458,22 @@ class Law:
 
     def _torque_limits(self, omega: Any, left: Any) -> tuple[Any, Any]:
         """Return the least and greatest torque at velocities omega (N, J) with these shares of the supply (N, 1)."""
-        xp, slope, (torque, _, speed) = self.xp, self._slope, self._limits
+        xp = self.xp
+        slope = self._slope
+        (torque, _, speed) = self._limits
         if left is not None:
-            torque, speed = torque * left, speed * left
+            torque = torque * left
+            speed = speed * left
         high = xp.minimum(xp.maximum((speed - omega) * slope, self._zero), torque)
         low = -xp.minimum(xp.maximum((speed + omega) * slope, self._zero), torque)
         if self._d.volts is not None:
-            stall, brake = self._stall() * self._supply, self._kd * omega
-            low, high = xp.maximum(low, -stall - brake), xp.minimum(high, stall - brake)
+            stall = self._stall() * self._supply
+            brake = self._kd * omega
+            low = xp.maximum(low, -stall - brake)
+            high = xp.minimum(high, stall - brake)
         if self._most is not None:
-            low, high = xp.maximum(low, -self._most), xp.minimum(high, self._most)
+            low = xp.maximum(low, -self._most)
+            high = xp.minimum(high, self._most)
         return low, high
 
     def _supply_left(self, asked: Any, omega: Any) -> Any:
@@ -445,22 +484,32 @@ class Law:
         """
         if "supply_sag" not in self._has:
             return None
-        xp, zero, slope, (torque, _, speed) = self.xp, self._zero, self._slope, self._limits
-        fast, size = xp.abs(omega), xp.abs(asked)
+        xp = self.xp
+        zero = self._zero
+        slope = self._slope
+        (torque, _, speed) = self._limits
+        fast = xp.abs(omega)
+        size = xp.abs(asked)
         if self._most is not None:
             size = xp.minimum(size, self._most)
-        size, rise, begin = xp.where(asked * omega > 0, size, zero), speed * slope, fast * slope
-        loss, low, high = self.get("supply_sag", "drop") * fast, zero[:, :1] + LEAST_SUPPLY, zero[:, :1] + 1.0
+        size = xp.where(asked * omega > 0, size, zero)
+        rise = speed * slope
+        begin = fast * slope
+        loss = self.get("supply_sag", "drop") * fast
+        low = zero[:, :1] + LEAST_SUPPLY
+        high = zero[:, :1] + 1.0
         left = high
         for _ in range(NEWTON):
-            stall, line = torque * left, rise * left - begin
+            stall = torque * left
+            line = rise * left - begin
             most = xp.minimum(stall, line)
             steep = xp.where((most > 0) & (most < size), xp.where(stall < line, torque, rise), zero)
             beyond = 1.0 - left - (loss * xp.minimum(xp.maximum(most, zero), size)).sum(-1)[..., None]
             exact = xp.abs(beyond) < self._exact
             if xp is np and exact.all():
                 break
-            low, high = xp.where(beyond > 0, left, low), xp.where(beyond > 0, high, left)
+            low = xp.where(beyond > 0, left, low)
+            high = xp.where(beyond > 0, high, left)
             step = left + beyond / (1.0 + (loss * steep).sum(-1)[..., None])
             inside = (step > low) & (step < high)
             left = xp.where(exact, left, xp.where(inside, step, (low + high) / 2))
@@ -471,7 +520,10 @@ class Law:
 
         Friction of F + A forward and F - A backward is friction F with a torque -A, at rest too.
         """
-        xp, get, level, bent = self.xp, self.get, self._level, self._zero
+        xp = self.xp
+        get = self.get
+        level = self._level
+        bent = self._zero
         if "stribeck" in self._has:
             level = level + get("stribeck", "level") * xp.exp(-((dq / get("stribeck", "speed")) ** 2))
         if "load_friction" in self._has:
@@ -480,12 +532,17 @@ class Law:
             level = level + get("gear_load_friction", "ratio") * xp.abs(tau + self.needed)
         if "asymmetric_friction" in self._has:
             more = get("asymmetric_friction", "level")
-            forward, backward = xp.clip(level + more, 0.0, None), xp.clip(level - more, 0.0, None)
-            level, bent = (forward + backward) / 2, (forward - backward) / 2
+            forward = xp.clip(level + more, 0.0, None)
+            backward = xp.clip(level - more, 0.0, None)
+            level = (forward + backward) / 2
+            bent = (forward - backward) / 2
         return level, bent
 
     def _outside(self, q: Any, dq: Any) -> Any:
-        xp, get, has, applied = self.xp, self.get, self._has, self._zero
+        xp = self.xp
+        get = self.get
+        has = self._has
+        applied = self._zero
         if "asymmetric_friction" in has:
             applied = applied - get("asymmetric_friction", "coefficient") * xp.abs(dq)
         if "quadratic_drag" in has:
@@ -509,7 +566,9 @@ class Law:
         the step. It touches where the rotor would end beyond the gap if it did not. Solved for w' = open + slope v', so
         that c enters the link as a torque and a damping.
         """
-        xp, r, s = self.xp, self.rotor, self.states
+        xp = self.xp
+        r = self.rotor
+        s = self.states
         twist = s["theta"] - q
         alone, _ = self._rotor_speed(free, kd, low, high, dq, self._zero, self._zero)
         over = twist + self.dt * (alone - dq)
@@ -518,7 +577,8 @@ class Law:
         spring = xp.where(touching, r["stiffness"] * (twist - edge), self._zero)
         engaged = xp.where(touching, r["coupling"], self._zero)
         opened, slope = self._rotor_speed(free, kd, low, high, dq, spring, engaged)
-        there, damping = r["there"], engaged * (1 - slope)
+        there = r["there"]
+        damping = engaged * (1 - slope)
         s["omega_open"] = xp.where(there, opened, self._zero)
         s["omega_slope"] = xp.where(there, slope, self._zero + 1.0)
         given = spring + engaged * opened - damping * dq
@@ -531,7 +591,10 @@ class Law:
 
         The motor is at a limit where its torque at the end of the step would be beyond, were the link as fast as now.
         """
-        xp, dt, inertia, omega = self.xp, self.dt, self.rotor["inertia"], self.states["omega"]
+        xp = self.xp
+        dt = self.dt
+        inertia = self.rotor["inertia"]
+        omega = self.states["omega"]
         mass = inertia + dt * (kd + engaged)
         asked = free - kd * (inertia * omega + dt * (free - spring + engaged * dq)) / mass
         drive = xp.minimum(xp.maximum(asked, low), high)

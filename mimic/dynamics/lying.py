@@ -30,7 +30,9 @@ def sink(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
     A motor without power turns with the friction, damping and inertia that the model has at its joint.
     """
-    began, still, flags = data.time, 0.0, model.opt.disableflags
+    began = data.time
+    still = 0.0
+    flags = model.opt.disableflags
     friction = model.geom_friction.copy()
     model.geom_friction[:, 0] = np.minimum(friction[:, 0], SLIDES)
     model.opt.disableflags = flags | mujoco.mjtDisableBit.mjDSBL_ACTUATION
@@ -38,8 +40,10 @@ def sink(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     while still < RESTS_FOR and data.time - began < SINKS_WITHIN:
         mujoco.mj_step(model, data)
         still = still + model.opt.timestep if np.abs(data.qvel).max() < RESTS else 0.0
-    model.opt.disableflags, model.geom_friction[:] = flags, friction
-    data.qvel[:], data.time = 0.0, began
+    model.opt.disableflags = flags
+    model.geom_friction[:] = friction
+    data.qvel[:] = 0.0
+    data.time = began
     mujoco.mj_forward(model, data)
 
 

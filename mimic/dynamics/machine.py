@@ -106,7 +106,8 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
     tied = [n for n, count in (("equality", original.neq), ("tendon", original.ntendon)) if count]
     if tied:
         raise AssetError(f"{path} has elements of {' and '.join(tied)}, which replays do not model; remove them")
-    drives, far = FileDrives(original), np.full(original.njnt, UNLIMITED)
+    drives = FileDrives(original)
+    far = np.full(original.njnt, UNLIMITED)
     make_room(spec)
     machine = _machine(spec, path, kp=drives.kp, kd=drives.kd, torque=drives.torque, flat=far, speed=2 * far)
     advice = "it holds something that mimic does not know; take out what is no link, joint, or actuator of a joint"
@@ -137,7 +138,8 @@ def with_gains(machine: MachineModel, gains: Mapping[str, Any]) -> MachineModel:
         return _voltage_drives(machine, gains)
     rows = {}
     for key in ("kp", "kd"):
-        given, own = gains.get(key), np.asarray(getattr(machine.drives, key))
+        given = gains.get(key)
+        own = np.asarray(getattr(machine.drives, key))
         if isinstance(given, Mapping):
             rows[key] = np.array([given.get(name, v) for name, v in zip(machine.joints, own, strict=True)], dtype=float)
         elif given is not None:
@@ -359,7 +361,8 @@ def changed_inertias(
 
 def _load(own: Inertias, i: int, b: int, load: float, tip: FloatArray) -> None:
     """Add a point mass to one body, exactly: new centre, parallel axes, new principal axes."""
-    m, c = own.mass[i, b], own.ipos[i, b].copy()
+    m = own.mass[i, b]
+    c = own.ipos[i, b].copy()
     total = m + load
     centre = (m * c + load * tip) / total
     rotation = np.zeros(9)
@@ -375,15 +378,21 @@ def _load(own: Inertias, i: int, b: int, load: float, tip: FloatArray) -> None:
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     mujoco.mju_mat2Quat(own.iquat[i, b], axes.reshape(-1))
-    own.mass[i, b], own.ipos[i, b], own.inertia[i, b] = total, centre, values
+    own.mass[i, b] = total
+    own.ipos[i, b] = centre
+    own.inertia[i, b] = values
 
 
 def tilted_gravity(roll: Any, pitch: Any, gravity: Sequence[float] = (0.0, 0.0, -GRAVITY)) -> FloatArray:
     """Return gravity (N, 3) in the axes of a base turned by roll (N,) about x, then pitch (N,) about y [rad]."""
     g = np.asarray(gravity, dtype=np.float64)
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cr = np.cos(roll)
+    sr = np.sin(roll)
+    cp = np.cos(pitch)
+    sp = np.sin(pitch)
     # R = Ry(pitch) Rx(roll) takes base to world; gravity in the base is R^T g
-    zero, one = 0.0 * cr, 1.0 + 0.0 * cr
+    zero = 0.0 * cr
+    one = 1.0 + 0.0 * cr
     ry = np.stack([np.stack([cp, zero, sp], -1), np.stack([zero, one, zero], -1), np.stack([-sp, zero, cp], -1)], -2)
     rx = np.stack([np.stack([one, zero, zero], -1), np.stack([zero, cr, -sr], -1), np.stack([zero, sr, cr], -1)], -2)
     return np.einsum("nji,j->ni", ry @ rx, g)

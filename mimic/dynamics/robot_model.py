@@ -26,8 +26,14 @@ from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import BASE, FLOOR, is_visual, read_model
 
-RESISTANCE, MOTOR_CONSTANT, GAIN_KP, GAIN_KD = 0, 1, 4, 6
-"""Where resistance, motor constant and gains stand in the gain parameters of a dcmotor."""
+RESISTANCE = 0
+"""Index of the resistance in the gain parameters of a dcmotor."""
+MOTOR_CONSTANT = 1
+"""Of the motor constant."""
+GAIN_KP = 4
+"""Of the position gain."""
+GAIN_KD = 6
+"""Of the velocity gain."""
 
 
 def load_model(
@@ -60,7 +66,9 @@ def load_model(
     for leg, mass in (payloads or {}).items():
         inertia = 0.4 * mass * description.toe_radius**2
         load = spec.body(f"{leg}_knee").add_body(pos=description.leg.toe, explicitinertial=True)
-        load.mass, load.ipos, load.inertia = mass, [0.0, 0.0, 0.0], [inertia] * 3
+        load.mass = mass
+        load.ipos = [0.0, 0.0, 0.0]
+        load.inertia = [inertia] * 3
     return spec.compile()
 
 
@@ -202,7 +210,8 @@ def carry(model: mujoco.MjModel, body: str, mass: float, position: FloatArray) -
     if not mass:
         return
     at = model.body(body).id
-    own, frame = float(model.body_mass[at]), np.zeros(9)
+    own = float(model.body_mass[at])
+    frame = np.zeros(9)
     mujoco.mju_quat2Mat(frame, model.body_iquat[at])
     turn = frame.reshape(3, 3)
     inertia = turn @ np.diag(model.body_inertia[at]) @ turn.T
@@ -211,7 +220,8 @@ def carry(model: mujoco.MjModel, body: str, mass: float, position: FloatArray) -
     values, axes = np.linalg.eigh(inertia)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     mujoco.mju_mat2Quat(model.body_iquat[at], axes.reshape(9))
-    model.body_inertia[at], model.body_mass[at] = values, own + mass
+    model.body_inertia[at] = values
+    model.body_mass[at] = own + mass
     model.body_ipos[at] += away * mass / (own + mass)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 

@@ -28,7 +28,10 @@ class Servo:
     """The fields that a law writes at every step: arrays of NumPy or tensors (N, J), written in place."""
 
     def __init__(self, *, ctrl: Any, applied: Any, inertia: Any, friction: Any, needed: Any = 0.0) -> None:
-        self._ctrl, self._applied, self._inertia, self._friction = ctrl, applied, inertia, friction
+        self._ctrl = ctrl
+        self._applied = applied
+        self._inertia = inertia
+        self._friction = friction
         self.needed = needed
         """Torque that the links need against gravity and for their motion at this speed (N, J): only read [N m]."""
 
@@ -184,7 +187,8 @@ def shares_in_effect(substep: int, decimation: int, shifts: Sequence[Any], xp: A
             newest first; the last acts before any other.
         xp: ``numpy`` or ``torch``.
     """
-    shares, gone = [], xp.zeros_like(shifts[0])
+    shares = []
+    gone = xp.zeros_like(shifts[0])
     for age, shift in enumerate(shifts[:-1]):
         begun = xp.clip(substep + 1 + age * decimation - shift, 0.0, 1.0)
         shares.append(xp.clip(begun - gone, 0.0, None))

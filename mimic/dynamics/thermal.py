@@ -12,8 +12,10 @@ import numpy as np
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 
-AMBIENT, WINDING = 25.0, 120.0
-"""The overload table was measured from this temperature of everything to this one of the winding [degC]; manual."""
+AMBIENT = 25.0
+"""Temperature of everything at the start of the overload table [degC]; manual."""
+WINDING = 120.0
+"""Temperature of the winding at its end [degC]; manual."""
 
 LONGEST = 1e6
 """A limit that is not reached within this is never reached [s]; 11 days."""
@@ -97,7 +99,8 @@ def seconds_to_limit(tau: FloatArray, dt: float, description: RobotDescription) 
     for motor in range(once.shape[2]):
         if rise(motor, most).max() < 1.0:
             continue
-        low, high = 0, most  # the first repetition that reaches the limit: each is warmer than the one before
+        low = 0
+        high = most  # the first repetition that reaches the limit: each is warmer than the one before
         while low < high:
             middle = (low + high) // 2
             low, high = (low, middle) if rise(motor, middle).max() >= 1.0 else (middle + 1, high)

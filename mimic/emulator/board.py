@@ -77,7 +77,9 @@ _SIGN = np.tile([1.0, -1.0, -1.0], len(LEGS))
 class EmulatedBoard(NetworkBoard[BoardWiring]):
     """A stock robot from power-up on, lying or suspended."""
 
-    name, hears, kinds = "the stock board", (MOTOR_CTRL.channel,), FAULTS
+    name = "the stock board"
+    hears = (MOTOR_CTRL.channel,)
+    kinds = FAULTS
 
     late_ticks = 0
     """Cycles with error 0x01 so far."""
@@ -95,7 +97,8 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
         self._arrived_by_now(self._command_came)
         ready = self._rules is None and 0 <= self._first <= self.ticks - ENTERING
         if ready and self._value("mode_refused", self.now) is None:
-            low, high = self._d.q_min[_ORDER] * _SIGN, self._d.q_max[_ORDER] * _SIGN
+            low = self._d.q_min[_ORDER] * _SIGN
+            high = self._d.q_max[_ORDER] * _SIGN
             self._rules = MotorModeRules(np.minimum(low, high), np.maximum(low, high))
             self.events.append((self.now, "motor mode"))
         q, dq = self._measured()
@@ -122,15 +125,19 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
     def _run(self, q: FloatArray, dq: FloatArray) -> None:
         """One cycle of motor mode."""
         assert self._rules is not None
-        before, age = self._rules.err_flag, self.now - self._arrived
+        before = self._rules.err_flag
+        age = self.now - self._arrived
         self.applied = self._rules.cycle(self._command, age, q, dq)
         self.late_ticks += bool(self.err_flag & LOST)
         if (before ^ self.err_flag) & TIMED_OUT:
             self.events.append((self.now, f"error flag {self.err_flag:#04x}"))
-        dead, failed = self._joints_with("motor_dead"), self._joints_with("motor_fault")
+        dead = self._joints_with("motor_dead")
+        failed = self._joints_with("motor_fault")
         q_des, dq_des, kp, kd, tau = self.applied
         if failed:
-            kp, kd, tau = np.zeros(12), np.full(12, DAMPING), np.zeros(12)
+            kp = np.zeros(12)
+            kd = np.full(12, DAMPING)
+            tau = np.zeros(12)
         numbers = np.nan_to_num(np.stack([kp, kd, _SIGN * q_des, _SIGN * dq_des, _SIGN * tau], axis=1))
         framed = np.clip(numbers, FRAME_LOW, FRAME).tolist()
         for place, joint in enumerate(_BODY):
@@ -146,7 +153,8 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
 
     def driven(self) -> tuple[str, ...]:
         """Return the joints with stiffness or a torque of a command; soft joint limits do not count."""
-        kp, tau = self.applied.kp, self.applied.tau
+        kp = self.applied.kp
+        tau = self.applied.tau
         free = np.ones(12, dtype=bool) if self._rules is None else self._rules.limits == 0
         moved = (kp > 0.0) | (free & (np.abs(tau) > LEAST_TORQUE))
         return tuple(JOINTS[_BODY[place]] for place in np.flatnonzero(moved))
@@ -183,9 +191,11 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
             self._publish(STATE_ESTIMATOR.channel, self._orientation())
 
     def _spi_data(self, q: FloatArray, dq: FloatArray, torque: FloatArray) -> bytes:
-        failed, dead = self._joints_with("motor_fault"), self._joints_with("motor_dead")
+        failed = self._joints_with("motor_fault")
+        dead = self._joints_with("motor_dead")
         hot = self._joints_with("motor_hot")
-        flags, warm = np.zeros(12, dtype=np.int64), np.zeros(12)
+        flags = np.zeros(12, dtype=np.int64)
+        warm = np.zeros(12)
         for place, joint in enumerate(_BODY):
             running = self._rules is not None and joint not in failed and joint not in dead
             flags[place] = (MOTOR_RUNNING << 30 if running else 0) | int(failed.get(joint, 0.0))

@@ -83,7 +83,9 @@ class NetworkBoard(Generic[W]):
         for fault in faults:
             if fault.kind not in self.kinds:
                 raise ConfigError(f"{self.name} has no fault {fault.kind!r}; it has {', '.join(self.kinds)}")
-        self._d, self._wiring, self._settings = description, wiring, settings
+        self._d = description
+        self._wiring = wiring
+        self._settings = settings
         self.body = EmulatedBody(
             description,
             effects=effects,
@@ -231,5 +233,6 @@ class NetworkBoard(Generic[W]):
 def turned(quat: FloatArray, angle: float) -> FloatArray:
     """Return an orientation turned about its own y axis by an angle [rad]."""
     w, x, y, z = quat
-    c, s = math.cos(angle / 2), math.sin(angle / 2)
+    c = math.cos(angle / 2)
+    s = math.sin(angle / 2)
     return np.array([w * c - y * s, x * c - z * s, y * c + w * s, z * c + x * s])

@@ -24,7 +24,9 @@ class BoardServer:
             bus: Its network, open in the robot's place; closed with the server.
             address: What a user gives to --robot.
         """
-        self.board, self._bus, self.addresses = board, bus, [address]
+        self.board = board
+        self._bus = bus
+        self.addresses = [address]
         bus.heard = self._take
         self.stood_still = 0.0
         """How long emulated time stopped because the machine was too slow [s]."""

@@ -76,7 +76,8 @@ class EmulatedBody:
         static_model(model, machine, p)
         self._quat = np.array([1.0, 0.0, 0.0, 0.0])
         if suspended and ("base_tilt", "roll") in p:
-            roll, pitch = float(p["base_tilt", "roll"][0, 0]), float(p["base_tilt", "pitch"][0, 0])
+            roll = float(p["base_tilt", "roll"][0, 0])
+            pitch = float(p["base_tilt", "pitch"][0, 0])
             model.opt.gravity[:] = tilted_gravity(np.array([roll]), np.array([pitch]))[0]
             self._quat = _tilt(roll, pitch)
         self.data = mujoco.MjData(model)
@@ -120,7 +121,8 @@ class EmulatedBody:
         self._readings: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def _place(self, placement: float, suspended: bool) -> None:
-        d, data = self.description, self.data
+        d = self.description
+        data = self.data
         q = d.poses["lie"] + self._rng.uniform(-placement, placement, 12)
         data.qpos[-12:] = np.clip(q, d.q_min + 0.01, d.q_max - 0.01)
         if not suspended:
@@ -144,7 +146,9 @@ class EmulatedBody:
             sign: 1, or -1 where its readings and commands have the wrong sign (12,).
             about: Angle at which both would agree (12,) [rad].
         """
-        self._order, self._sign, self._about = order, sign, about
+        self._order = order
+        self._sign = sign
+        self._about = about
         self._readings = None
 
     def drive(self, joint: int, drive: Drive, t: float) -> None:
@@ -158,7 +162,9 @@ class EmulatedBody:
         if self._lost and drive.kp and self._rng.random() < self._lost:
             return
         late = self._spread * self._rng.random() if self._spread else 0.0
-        taken, joint, sign = joint, int(self._order[joint]), float(self._sign[joint])
+        taken = joint
+        sign = float(self._sign[taken])
+        joint = int(self._order[taken])
         q = self._about[joint] + sign * (drive.q - self._about[taken])
         drive = drive._replace(q=float(q), dq=sign * drive.dq, tau=sign * drive.tau)
         self._coming[joint].append((t + float(self._delay[joint]) + late, drive))
@@ -183,7 +189,8 @@ class EmulatedBody:
             self._readings = None
 
     def _step(self, h: float) -> None:
-        data, now = self.data, self.time
+        data = self.data
+        now = self.time
         self._take_commands(now, now + h)
         if self._changed:
             kp, kd, _, dq, tau, limit = self._numbers
@@ -217,7 +224,10 @@ class EmulatedBody:
         for joint, coming in enumerate(self._coming):
             if not self._mixed[joint] and not (coming and coming[0][0] < end):
                 continue
-            at, q, dq, tau = begin, 0.0, 0.0, 0.0
+            at = begin
+            q = 0.0
+            dq = 0.0
+            tau = 0.0
             while coming and coming[0][0] < end:
                 t, drive = coming.popleft()
                 if np.isfinite(drive.pace) and not (self._drives[joint].kp and np.isfinite(self._drives[joint].pace)):
@@ -225,15 +235,25 @@ class EmulatedBody:
                 was = self._drives[joint]
                 if (drive.kp, drive.kd, drive.limit) == (was.kp, was.kd, was.limit):
                     share = (max(t, begin) - at) / (end - begin)
-                    q, dq, tau = q + share * was.q, dq + share * was.dq, tau + share * was.tau
+                    q = q + share * was.q
+                    dq = dq + share * was.dq
+                    tau = tau + share * was.tau
                     at = max(t, begin)
                 else:  # a mean of gains is none of them
-                    at, q, dq, tau = begin, 0.0, 0.0, 0.0
+                    at = begin
+                    q = 0.0
+                    dq = 0.0
+                    tau = 0.0
                 self._drives[joint] = drive
-            new, share = self._drives[joint], (end - at) / (end - begin)
-            q, dq, tau = q + share * new.q, dq + share * new.dq, tau + share * new.tau
+            new = self._drives[joint]
+            share = (end - at) / (end - begin)
+            q = q + share * new.q
+            dq = dq + share * new.dq
+            tau = tau + share * new.tau
             self._numbers[:, joint] = new.kp, new.kd, q, dq, tau, new.limit
-            self._mixed[joint], self._pace[joint], self._changed = at > begin, new.pace, True
+            self._mixed[joint] = at > begin
+            self._pace[joint] = new.pace
+            self._changed = True
 
     # ------------------------------------------------------------------ what is measured
 

@@ -21,7 +21,9 @@ class BrokenDrives:
     """The faults of all drives."""
 
     def __init__(self, wiring: Wiring, body: EmulatedBody, value: Value) -> None:
-        self._wiring, self._body, self._value = wiring, body, value
+        self._wiring = wiring
+        self._body = body
+        self._value = value
         self.stuck: dict[int, float] = {}
         """Joints whose encoder is frozen -> the angle that it reads [rad]."""
 
@@ -35,11 +37,13 @@ class BrokenDrives:
 
     def drive(self, i: int, drive: Drive, *, running: bool) -> Drive:
         """Return what a motor does instead of what it is told, in its own sign and zero."""
-        runaway, weak = self._value("motor_runaway", i), self._value("motor_weak", i)
+        runaway = self._value("motor_runaway", i)
+        weak = self._value("motor_weak", i)
         if runaway is not None and running:
             return Drive(tau=runaway, limit=abs(runaway))
         if i in self.stuck:
-            sign, offset = float(self._wiring.sign[i]), float(self._wiring.offset[i])
+            sign = float(self._wiring.sign[i])
+            offset = float(self._wiring.offset[i])
             tau = drive.tau + drive.kp * (drive.q - sign * (self.stuck[i] - offset)) + drive.kd * drive.dq
             drive = Drive(tau=float(np.clip(tau, -drive.limit, drive.limit)), limit=drive.limit)
         return drive if weak is None else drive._replace(limit=weak * drive.limit)

@@ -61,13 +61,15 @@ class EmulatedBus:
 
     def advance(self) -> Sent | None:
         """Go to the next event: the end of a frame, which is returned, or the beginning of one."""
-        now, self._next = self.next_event, None
+        now = self.next_event
+        self._next = None
         if self.off:
             self._queues.clear()
             self._sending = None
             return None
         if self._sending is not None:
-            done, self._sending = self._sending, None
+            done = self._sending
+            self._sending = None
             self._free_at = done.t
             return done
         waiting = [(node, queue) for node, queue in self._queues.items() if queue and queue[0][0] <= now]
@@ -76,6 +78,7 @@ class EmulatedBus:
         node, queue = min(waiting, key=lambda entry: arbitration_key(entry[1][0][1]))
         frame = queue.popleft()[1]
         bits = frame_bits(frame)
-        self.bits, self.frames = self.bits + bits, self.frames + 1
+        self.bits = self.bits + bits
+        self.frames = self.frames + 1
         self._sending = Sent(now + bits / self.bitrate, node, frame)
         return None

@@ -108,7 +108,8 @@ CAN_KINDS = tuple(kind for kind in KINDS if kind not in BOARD_ONLY)
 
 def miswiring(faults: Iterable[EmulatedFault]) -> tuple[IntArray, FloatArray]:
     """Return which joint each is really (12,), and the sign of its readings and commands (12,)."""
-    order, sign = np.arange(len(JOINTS)), np.ones(len(JOINTS))
+    order = np.arange(len(JOINTS))
+    sign = np.ones(len(JOINTS))
     for fault in faults:
         if fault.kind not in MISWIRED or fault.joint is None:
             continue
@@ -119,8 +120,9 @@ def miswiring(faults: Iterable[EmulatedFault]) -> tuple[IntArray, FloatArray]:
             swapped = [fault.joint, 3 * leg + (part + 1) % 3]
             order[swapped] = order[swapped[::-1]]
         else:
-            own, other = 3 * leg + np.arange(3), 3 * (leg ^ 1) + np.arange(3)
-            order[own], order[other] = order[other], order[own].copy()
+            own = 3 * leg + np.arange(3)
+            other = 3 * (leg ^ 1) + np.arange(3)
+            order[[own, other]] = order[[other, own]]
     return order, sign
 
 
@@ -176,7 +178,8 @@ def parse_fault(text: str) -> EmulatedFault:
         raise ConfigError(
             f"the fault {text!r} is not KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5"
         )
-    name, place = found["kind"], found["place"]
+    name = found["kind"]
+    place = found["place"]
     if name not in KINDS:
         raise ConfigError(f"there is no fault {name!r}; known are {', '.join(KINDS)}")
     kind = KINDS[name]

@@ -69,7 +69,9 @@ UNKNOWN_API = 3203
 class EmulatedGo2(NetworkBoard[Go2Wiring]):
     """A Go2 from power-up on, lying or suspended, in its own mode."""
 
-    name, hears, kinds = "the Go2", TO_ROBOT, FAULTS
+    name = "the Go2"
+    hears = TO_ROBOT
+    kinds = FAULTS
 
     mode = "normal"
     """Name of its own active mode."""
@@ -93,7 +95,9 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
         self.body.advance(self.now)
         self._arrived_by_now(self._heard)
         if not self.mode and self._value("mode_returns", self.now) is not None:
-            self.mode, self.applied, self._placed = "normal", [FREE] * len(JOINTS), self.body.joints(self.now)[0]
+            self.mode = "normal"
+            self.applied = [FREE] * len(JOINTS)
+            self._placed = self.body.joints(self.now)[0]
             self.events.append((self.now, "its own mode is active again"))
         if self.driven():
             self._count_age(self.now - self._arrived)
@@ -124,7 +128,8 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
         except FrameError:
             return
         service = SWITCHER if topic.startswith(SWITCHER) else SPORT
-        code, text = 0, ""
+        code = 0
+        text = ""
         if (service, call.api) == (SWITCHER, CHECK_MODE):
             text = json.dumps({"form": "0", "name": self.mode})
         elif (service, call.api) == (SWITCHER, RELEASE_MODE):
@@ -151,10 +156,14 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
             self.faults = [fault.released(self.now) for fault in self.faults]
             self.events.append((self.now, "the first command came"))
         self._came = self._arrived = at
-        wiring, motors = self._wiring, message["motor_cmd"][: len(JOINTS)]
+        wiring = self._wiring
+        motors = message["motor_cmd"][: len(JOINTS)]
         self._modes = motors["mode"][wiring.index]
-        q, dq, tau = wiring.angles(motors["q"]), wiring.joints(motors["dq"]), wiring.joints(motors["tau"])
-        kp, kd = motors["kp"][wiring.index].astype(float), motors["kd"][wiring.index].astype(float)
+        q = wiring.angles(motors["q"])
+        dq = wiring.joints(motors["dq"])
+        tau = wiring.joints(motors["tau"])
+        kp = motors["kp"][wiring.index].astype(float)
+        kd = motors["kd"][wiring.index].astype(float)
         self.applied = [
             Drive(*numbers) if on else FREE
             for on, numbers in zip(self._modes, np.stack([kp, kd, q, dq, tau], axis=1).tolist(), strict=True)
@@ -171,20 +180,28 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
     # ------------------------------------------------------------------ what it says
 
     def _speak(self, dead: dict[int, float]) -> None:
-        wiring, message = self._wiring, blank(LOWSTATE)
-        hot, (q, dq, tau) = self._joints_with("motor_hot"), self.body.joints(self.now)
+        wiring = self._wiring
+        message = blank(LOWSTATE)
+        hot = self._joints_with("motor_hot")
+        (q, dq, tau) = self.body.joints(self.now)
         warm = [max(self.body.temperature(j), hot.get(j, 0.0)) for j in range(len(JOINTS))]
         motors = message["motor_state"][: len(JOINTS)]
-        motors["q"], motors["dq"], motors["tau_est"] = wiring.wire_angles(q), wiring.wire(dq), wiring.wire(tau)
+        motors["q"] = wiring.wire_angles(q)
+        motors["dq"] = wiring.wire(dq)
+        motors["tau_est"] = wiring.wire(tau)
         motors["temperature"][wiring.index] = np.clip(np.round(warm), 0, 255)
         modes = self._modes.copy()
         modes[list(dead)] = 0
-        motors["mode"][wiring.index], motors["lost"][wiring.index] = modes, self._lost
+        motors["mode"][wiring.index] = modes
+        motors["lost"][wiring.index] = self._lost
         quat, omega, _ = self.orientation()
         imu = message["imu_state"]
-        imu["quaternion"][wiring.quat], imu["gyroscope"], imu["rpy"] = quat, omega, rpy_from_quat(np.asarray(quat))
+        imu["quaternion"][wiring.quat] = quat
+        imu["gyroscope"] = omega
+        imu["rpy"] = rpy_from_quat(np.asarray(quat))
         imu["accelerometer"] = rotation_from_quat(quat).T @ np.array([0.0, 0.0, 9.81])
-        message["tick"], message["power_v"] = round(1e3 * self.now), SUPPLY
+        message["tick"] = round(1e3 * self.now)
+        message["power_v"] = SUPPLY
         self._publish(LOWSTATE, encode(LOWSTATE, message))
 
     def line(self) -> str:

@@ -40,7 +40,8 @@ class EmulatedMti:
             noise: Standard deviation of its rates of turn [rad/s]; its orientation has as much [rad], divided by ten.
             seed: Draws the noise.
         """
-        self._quat_BI, self._R_BI = wiring.quat_BI, rotation_from_quat(wiring.quat_BI)
+        self._quat_BI = wiring.quat_BI
+        self._R_BI = rotation_from_quat(wiring.quat_BI)
         self._noise = noise
         self._rng = np.random.default_rng([seed, 19])
         self._rate = wiring.rate

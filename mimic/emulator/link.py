@@ -14,7 +14,8 @@ class EmulatedLink:
     woken = False
 
     def __init__(self, robot: EmulatedRobot) -> None:
-        self._robot, self._host = robot, robot.connect()
+        self._robot = robot
+        self._host = robot.connect()
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -43,8 +43,10 @@ ROTOR_TURN = 2 * math.pi / 7.75
 TORQUE_PER_AMPERE = 0.87 / math.sqrt(2)
 """[N m/A], of the amplitude of a phase current. Source: manual, 0.87 N m/Arms; 4 N m then take the rated 6.5 A."""
 
-HOT, WARM = 80.0, 75.0
-"""Over-temperature fault and warning [degC]; manual, defaults."""
+HOT = 80.0
+"""Over-temperature fault [degC]; manual, default."""
+WARM = 75.0
+"""Over-temperature warning [degC]; manual, default."""
 
 LOW_VOLTAGE = 16.0
 """Least operating voltage [V]; manual."""
@@ -118,7 +120,10 @@ class EmulatedMotor:
         Args:
             q: Own angle [rad].
         """
-        self.mode, self.drive, self.faults, self._reported = MotorMode.OFF, FREE, Fault(0), (Fault(0), False)
+        self.mode = MotorMode.OFF
+        self.drive = FREE
+        self.faults = Fault(0)
+        self._reported = (Fault(0), False)
         self.values = {index: p.default for index, p in PARAMETERS.items()}
         self.zero = q - ((q + self.encoder + ROTOR_TURN / 2) % ROTOR_TURN - ROTOR_TURN / 2)
         return self._identity()
@@ -186,7 +191,8 @@ class EmulatedMotor:
 
     def stop(self) -> None:
         """Switch off."""
-        self.mode, self.drive = MotorMode.OFF, FREE
+        self.mode = MotorMode.OFF
+        self.drive = FREE
 
     def feedback(self, measured: Measured) -> MotorMessage:
         """Return the feedback of these measurements."""
@@ -223,7 +229,8 @@ class EmulatedMotor:
 
     def _drive_of_run_mode(self, measured: Measured) -> Drive:
         """Return what a motor that runs does; the cascades of position and speed without their integrators."""
-        v, current = self.values, self.values[LIMIT_CUR] * TORQUE_PER_AMPERE
+        v = self.values
+        current = self.values[LIMIT_CUR] * TORQUE_PER_AMPERE
         match RunMode(int(v[RUN_MODE])):
             case RunMode.OPERATION:
                 return self.drive._replace(limit=v[LIMIT_TORQUE])

@@ -16,8 +16,10 @@ from mimic.records import FloatArray
 
 LEG_COUNT = 4
 
-LATE, SILENT = 0.010, 0.500
-"""Ages of the newest command above which the firmware reports it as late, and as lost [s]."""
+LATE = 0.010
+"""Age of the newest command above which the firmware reports it as late [s]."""
+SILENT = 0.500
+"""Age above which it is reported as lost [s]."""
 
 RECONNECT = 5000
 """Counts in error 0x02 before it can be cleared; four in each cycle, one for each leg."""
@@ -31,8 +33,10 @@ CUTS = np.tile(np.deg2rad([8.0, 10.0, 12.0]), LEG_COUNT)
 INSIDE = 0.04
 """Desired positions are held this far inside the joint limits [rad]."""
 
-SOFT, SOFT_KP = 0.05, 20.0
-"""Within SOFT of a limit [rad], a torque outward gives way to a spring of SOFT_KP [N m/rad]."""
+SOFT = 0.05
+"""Within this of a limit [rad], a torque outward gives way to a spring."""
+SOFT_KP = 20.0
+"""Stiffness of that spring [N m/rad]."""
 
 SOFT_TORQUE = np.tile([0.0, 0.0, 1.0], LEG_COUNT)
 """… if it is greater than this [N m]."""
@@ -61,7 +65,8 @@ class MotorModeRules:
             low: Lower joint limits (12,) [rad].
             high: Upper ones.
         """
-        self._low, self._high = low, high
+        self._low = low
+        self._high = high
         self._reconnect = 0
         self.err_flag = TIMED_OUT
         """As in motor_ctrl_state."""
@@ -71,7 +76,8 @@ class MotorModeRules:
     def clear(self) -> int:
         """Leave error 0x02 now, and return how many cycles it has lasted, the present one included."""
         cycles = self._reconnect // LEG_COUNT + 1
-        self._reconnect, self.err_flag = 0, self.err_flag & ~TIMED_OUT
+        self._reconnect = 0
+        self.err_flag = self.err_flag & ~TIMED_OUT
         return cycles
 
     def cycle(self, message: Any, age: float, q: FloatArray, dq: FloatArray) -> MotorCommands:
@@ -88,7 +94,8 @@ class MotorModeRules:
         )
         zero = not (np.abs(np.concatenate([kp, kd, tau])) > ZERO).any()
         if age > LATE:
-            dq_des, tau = dq_des * LATE / age, tau * LATE / age
+            dq_des = dq_des * LATE / age
+            tau = tau * LATE / age
             self.err_flag |= LOST | (TIMED_OUT if age > SILENT else 0)
         else:
             self.err_flag &= ~LOST
@@ -115,7 +122,8 @@ class MotorModeRules:
         """Return commands with the soft joint limits applied."""
         q_des, dq_des, kp, kd, tau = command
         estimate = tau + kp * (q_des - q) + kd * (dq_des - dq)
-        low, high = q < self._low + SOFT, q > self._high - SOFT
+        low = q < self._low + SOFT
+        high = q > self._high - SOFT
         self.limits = high.astype(int) - low.astype(int)
         for near, bound, pushed in (
             (low, self._low + SOFT, estimate < -SOFT_TORQUE),
@@ -123,5 +131,6 @@ class MotorModeRules:
         ):
             soft = near & pushed
             tau = np.where(soft, SOFT_KP * (bound - q), tau)
-            kp, kd = np.where(soft, 0.0, kp), np.where(soft, 0.0, kd)
+            kp = np.where(soft, 0.0, kp)
+            kd = np.where(soft, 0.0, kd)
         return MotorCommands(q_des, dq_des, kp, kd, tau)

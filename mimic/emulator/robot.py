@@ -105,7 +105,8 @@ class EmulatedRobot:
         self.body.miswire(*miswiring(faults), wiring.offset)
         self.now = 0.0
         """Time of the emulation [s]."""
-        self._on, self._without_zero = False, set[int]() if s.zeroed else set(range(len(JOINTS)))
+        self._on = False
+        self._without_zero = set[int]() if s.zeroed else set(range(len(JOINTS)))
         self._rng = np.random.default_rng([s.seed, 29])
         self.faults: list[EmulatedFault] = []
         self._happened: set[int] = set()
@@ -122,7 +123,9 @@ class EmulatedRobot:
             for i in range(len(JOINTS))
         ]
         """In the order of the joints."""
-        self._on_bus = [[i for i in range(len(JOINTS)) if wiring.bus[i] == bus] for bus in range(wiring.buses)]
+        self._on_bus: list[list[int]] = [[] for _ in range(wiring.buses)]
+        for joint, bus in enumerate(wiring.bus):
+            self._on_bus[bus].append(joint)
         self._driven: list[Drive | None] = [FREE] * len(JOINTS)
         self._broken = BrokenDrives(wiring, self.body, lambda kind, i: self._value(kind, joint=i))
         self.events: deque[tuple[float, str]] = deque(maxlen=1000)
@@ -256,8 +259,10 @@ class EmulatedRobot:
         """Deliver a frame to its receivers: once, twice, late, corrupted or never."""
         if not self.faults:
             return self._deliver(index, sent)
-        lost, twice = self._value("frames_lost", bus=index), self._value("frames_doubled", bus=index)
-        wrong, late = self._value("frames_corrupted", bus=index), self._value("frames_late", bus=index)
+        lost = self._value("frames_lost", bus=index)
+        twice = self._value("frames_doubled", bus=index)
+        wrong = self._value("frames_corrupted", bus=index)
+        late = self._value("frames_late", bus=index)
         if lost is not None and self._rng.random() < lost:
             return
         if wrong is not None and self._rng.random() < wrong:
@@ -293,7 +298,8 @@ class EmulatedRobot:
                 host.heard.append(Received(index, sent.frame, sent.t))
 
     def _hear(self, i: int, sent: Sent) -> None:
-        motor, zero = self.motors[i], self.motors[i].zero
+        motor = self.motors[i]
+        zero = self.motors[i].zero
         self._count_age(motor, sent.t)
         answer = motor.hear(sent.frame, sent.t, self._measured(i))
         self._apply(i)
@@ -330,7 +336,8 @@ class EmulatedRobot:
             return
         self._driven[i] = drive
         drive = self._broken.drive(i, drive, running=self.motors[i].mode is MotorMode.RUNNING)
-        sign, offset = float(self.wiring.sign[i]), float(self.wiring.offset[i])
+        sign = float(self.wiring.sign[i])
+        offset = float(self.wiring.offset[i])
         drive = drive._replace(q=sign * drive.q + offset, dq=sign * drive.dq, tau=sign * drive.tau)
         self.body.drive(i, drive, self.now)
 
@@ -338,13 +345,16 @@ class EmulatedRobot:
         self.body.advance(self.now)
         q, dq, tau = self.body.joint(i, self.now)
         if i in self._broken.stuck:
-            q, dq = self._broken.stuck[i], 0.0
-        sign, offset = float(self.wiring.sign[i]), float(self.wiring.offset[i])
+            q = self._broken.stuck[i]
+            dq = 0.0
+        sign = float(self.wiring.sign[i])
+        offset = float(self.wiring.offset[i])
         return Measured(sign * (q - offset), sign * dq, sign * tau, *self._heat_and_voltage(i))
 
     def _heat_and_voltage(self, i: int) -> tuple[float, float]:
         heat = self.body.temperature(i)
-        hot, voltage = self._value("motor_hot", joint=i), self._value("under_voltage")
+        hot = self._value("motor_hot", joint=i)
+        voltage = self._value("under_voltage")
         return heat if hot is None else max(heat, hot), VOLTAGE if voltage is None else voltage
 
     def _check_motors(self) -> None:

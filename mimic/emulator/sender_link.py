@@ -70,7 +70,8 @@ class EmulatedSenderLink:
             report = self.sender.cycle(until)
             if report is not None:
                 self._reports.append(report)
-        reports, self._reports = self._reports, []
+        reports = self._reports
+        self._reports = []
         return reports
 
     def damp(self) -> None:

@@ -146,11 +146,7 @@ class EmulatorServer:
 
     def turn(self) -> None:
         """Wait until something is due, at most 10 ms, and do it."""
-        anybody = any(client.host is not None for client in self._clients)
-        left = self.robot.next_event - self._time() if anybody else LONGEST_SLEEP
-        reading = [self._listening.fileno(), *(client.file for client in self._clients)]
-        writing = [client.file for client in self._clients if client.waiting]
-        ready, writable, _ = select.select(reading, writing, [], min(max(left, GRAIN), LONGEST_SLEEP))
+        ready, writable = self._await_due()
         self._keep_up()
         if self._listening.fileno() in ready:
             self._accept()
@@ -160,10 +156,21 @@ class EmulatorServer:
         self._hand_out()
         for client in [c for c in self._clients if c.file in writable or c.waiting]:
             self._write(client)
-        for client in [c for c in self._clients if c.host is not None and c.host.bus is not None]:
-            assert client.host is not None
-            assert client.host.bus is not None
-            if self.robot.unplugged(client.host.bus):
+        self._drop_unplugged()
+
+    def _await_due(self) -> tuple[list[int], list[int]]:
+        """Wait until the robot has something to send or a client does something; return who can be read and written."""
+        anybody = any(client.host is not None for client in self._clients)
+        left = self.robot.next_event - self._time() if anybody else LONGEST_SLEEP
+        reading = [self._listening.fileno(), *(client.file for client in self._clients)]
+        writing = [client.file for client in self._clients if client.waiting]
+        ready, writable, _ = select.select(reading, writing, [], min(max(left, GRAIN), LONGEST_SLEEP))
+        return ready, writable
+
+    def _drop_unplugged(self) -> None:
+        for client in list(self._clients):
+            bus = None if client.host is None else client.host.bus
+            if bus is not None and self.robot.unplugged(bus):
                 self._drop(client)
 
     def _time(self) -> float:
@@ -177,7 +184,8 @@ class EmulatorServer:
 
     def status(self) -> EmulatorStatus:
         """Return the statistics since the last call."""
-        robot, (before, counts, late, stood_still) = self.robot, self._before
+        robot = self.robot
+        (before, counts, late, stood_still) = self._before
         span = max(robot.now - before, 1e-9)
         self._before = _, now, _, _ = self._totals()
         status = EmulatorStatus(
@@ -206,7 +214,8 @@ class EmulatorServer:
     def figures(self) -> dict[str, str]:
         """Return rows of a table of what has happened."""
         robot = self.robot
-        bits, frames = sum(bus.bits for bus in robot.buses), sum(bus.frames for bus in robot.buses)
+        bits = sum(bus.bits for bus in robot.buses)
+        frames = sum(bus.frames for bus in robot.buses)
         return {
             "frames": f"{frames}, {bits / max(frames, 1):.1f} bits each on average",
             "bus load": ", ".join(f"{robot.load(bus):.1%}" for bus in range(len(robot.buses))),
@@ -253,7 +262,8 @@ class EmulatorServer:
             client.quiet_until = self._time() + (QUIET if answer else 0.0)
         elif not session.open and client.host is not None:
             self.robot.disconnect(client.host)
-            client.host, client.waiting = None, b""
+            client.host = None
+            client.waiting = b""
             if client.terminal is not None:  # the next program does not read what was meant for this one
                 termios.tcflush(client.terminal, termios.TCIFLUSH)
         for frame in frames:
@@ -271,7 +281,8 @@ class EmulatorServer:
             while heard:
                 received = heard.popleft()
                 late = now - received.t
-                self.late, self._latest = self.late + (late > LATE), max(self._latest, late)
+                self.late = self.late + (late > LATE)
+                self._latest = max(self._latest, late)
                 parts.append(client.session.give(received.frame, received.t))
             client.waiting += b"".join(parts)
 

@@ -38,7 +38,8 @@ class SocketcandSession:
         """Take what the client sent, and return the frames in it and what to answer."""
         self._text += data.decode("ascii", "replace")
         frames: list[CanFrame] = []
-        answer, end = b"", 0
+        answer = b""
+        end = 0
         for found in self._MESSAGE.finditer(self._text):
             end = found.end()
             answer += self._execute(found[1].split(), frames)
@@ -107,7 +108,8 @@ class SlcanSession:
             case "T" | "t" if self.open:
                 width = 8 if line[0] == "T" else 3
                 try:
-                    count, text = int(line[1 + width]), line[2 + width :]
+                    count = int(line[1 + width])
+                    text = line[2 + width :]
                     frame = CanFrame(int(line[1 : 1 + width], 16), bytes.fromhex(text), line[0] == "T")
                 except (ValueError, IndexError, FrameError):
                     return b"\a"

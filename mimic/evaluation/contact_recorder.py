@@ -65,7 +65,11 @@ class ContactRecorder:
         """
         t, trunk, head, velocity, limbs = (np.array(column) for column in zip(*self._rows, strict=True))
         rows = t > begin
-        t, trunk, head, velocity, limbs = t[rows], trunk[rows], head[rows], velocity[rows], limbs[rows]
+        t = t[rows]
+        trunk = trunk[rows]
+        head = head[rows]
+        velocity = velocity[rows]
+        limbs = limbs[rows]
         speed = np.linalg.norm(velocity, axis=1)
         span = max(1, round(AVERAGING_TIME / float(t[1] - t[0])))
         change = np.linalg.norm(velocity[span:] - velocity[:-span], axis=1)

@@ -124,7 +124,8 @@ def of_episode(supervisor: Supervisor) -> Safety:
 
 def without_start(result: RunResult) -> RunResult:
     """Return a run from where its policy begins."""
-    log, samples = result.log, result.samples
+    log = result.log
+    samples = result.samples
     rows = log.phase != PHASES.index("lie")
     if samples is not None:
         samples = _of_rows(samples, samples.t > 0.0)

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from mimic.config.leading import LeadingSettings
+from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
 from mimic.control.safety_rules import FALLEN
@@ -26,6 +27,16 @@ from mimic.records import Command, FloatArray, RobotState, Tick
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import TOES
 from mimic.robot.rigid_body import rigid_body_model
+from mimic.simulation.hand import Hand
+
+STOPS_WITHIN = 1.0
+"""A robot that is let go should stand still from here on [s]."""
+
+FOLLOWS = 0.3
+"""It has followed if its toe is at most this far behind the hand when that lets go [m]."""
+
+STANDS_STILL = 0.08
+"""It has stopped if its mean velocity is at most this [m/s]: stepping in place it may sway and drift."""
 
 STRETCHED = 0.02
 """Damping of the estimate [m]: a stretched leg says nothing about a force along it."""
@@ -75,11 +86,15 @@ class HandLeading:
             settings: How it answers a pull.
             seconds: How long it may be led [s].
         """
-        self._estimator, self._toes = PullEstimator(description), toes
-        self._settings, self._dt, self._left = settings, description.dt, seconds
+        self._estimator = PullEstimator(description)
+        self._toes = toes
+        self._settings = settings
+        self._dt = description.dt
+        self._left = seconds
         self._pulls = np.zeros((2, 3))
         self._began: float | None = None
-        self._now, self._turned = 0.0, 0.0
+        self._now = 0.0
+        self._turned = 0.0
 
     @property
     def pull(self) -> FloatArray:
@@ -114,7 +129,8 @@ class HandLeading:
 
 def turned(vector: FloatArray, angle: float) -> tuple[float, float]:
     """Return a horizontal vector (2,) turned to the left by an angle [rad]."""
-    c, s = math.cos(angle), math.sin(angle)
+    c = math.cos(angle)
+    s = math.sin(angle)
     return float(c * vector[0] - s * vector[1]), float(s * vector[0] + c * vector[1])
 
 
@@ -153,3 +169,31 @@ def lead_robot(
     if result.error is not None:
         raise result.error
     return without_start(result)
+
+
+def lead_figures(result: RunResult, hand: Hand, settings: HandSettings) -> dict[str, Any]:
+    """Return how a robot was led: way and pull while it was, speed when it was let go."""
+    log = result.log
+    force = np.linalg.norm(hand.force, axis=1) if hand.force else np.zeros(1)
+    held = log.t[(log.t >= settings.begin) & (log.t < settings.end)]
+    figures: dict[str, Any] = {
+        "direction_deg": settings.direction,
+        "toe": settings.toe,
+        "fell_at_s": result.fell_at,
+        "pull_mean_n": float(force.mean()),
+        "pull_max_n": float(force.max()),
+    }
+    if result.fell_at is not None or len(held) < 2:
+        return figures | {"followed": False, "stopped": False}
+    first, last = np.searchsorted(log.t, held[[0, -1]])
+    way = float((log.p_WB[last] - log.p_WB[first]) @ hand.unit)
+    after = np.flatnonzero(log.t > settings.end + STOPS_WITHIN)
+    passed = log.p_WB[after[-1], :2] - log.p_WB[after[0], :2]
+    speed = float(np.linalg.norm(passed) / (log.t[after[-1]] - log.t[after[0]]))
+    return figures | {
+        "way_m": way,
+        "behind_m": hand.behind[-1],
+        "speed_after_m_s": speed,
+        "followed": hand.behind[-1] <= FOLLOWS,
+        "stopped": speed <= STANDS_STILL,
+    }

@@ -62,7 +62,8 @@ def goal_path(goals: FloatArray, ticks: int, dt: float, description: RobotDescri
 def _spacious(goals: FloatArray, description: RobotDescription) -> FloatArray:
     """Return those goals (N, 2, 3) [m] whose joints keep SPARE more than the margin of goals from their limits."""
     joints = leg_joints(goals, description)[0].reshape(-1, FRONT)
-    q_min, q_max = description.q_min[:FRONT], description.q_max[:FRONT]
+    q_min = description.q_min[:FRONT]
+    q_max = description.q_max[:FRONT]
     return goals[np.minimum(joints - q_min, q_max - joints).min(axis=1) > MARGIN + SPARE]
 
 
@@ -190,23 +191,30 @@ def _mean_minutes(minutes: list[float]) -> float:
     return 1.0 / heating if heating > 0 else float("inf")
 
 
+def _mean(values: list[float]) -> float:
+    known = [v for v in values if np.isfinite(v)]  # an episode that fell before its first goal has no toe error
+    return float(np.mean(known)) if known else float("nan")
+
+
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the main figures of all episodes."""
-    kinds = {kind: [r for r in rows if r["kind"] == kind] for kind in ("randomised", "toes", "walk", "turn")}
-    randomised = kinds["randomised"]
+
+    def of_kind(kind: str, **asked: float | None) -> list[dict[str, Any]]:
+        return [r for r in rows if r["kind"] == kind and asked.items() <= r.items()]
+
+    randomised = of_kind("randomised")
     stand_up = np.array([r["stand_up_s"] for r in randomised])
     stood = stand_up <= STOOD_WITHIN
     kept = np.array([r["stands_at_end"] for r in randomised])
 
-    def mean(kind: str, *path: str) -> float:
-        values = []
-        for r in kinds[kind]:
-            value: Any = r
-            for key in path:
-                value = value[key]
-            values.append(value)
-        known = [v for v in values if np.isfinite(v)]  # an episode that fell before its first goal has no toe error
-        return float(np.mean(known)) if known else float("nan")
+    toes = of_kind("toes")
+    walks = {}
+    for speed in (-0.3, 0.3):
+        walks[f"{speed:+.1f}"] = float(np.mean([r["forward_m_s"] for r in of_kind("walk", commanded_m_s=speed)]))
+    turns = {}
+    for turn in TURNS:
+        name = f"{np.rad2deg(turn):+.0f}"
+        turns[name] = float(np.mean([r["turn_error_rad"] for r in of_kind("turn", commanded_rad=turn)]))
 
     return {
         "episodes": len(randomised),
@@ -214,20 +222,12 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "stood_up": float(stood.mean()),
         "stand_up_median_s": float(np.median(stand_up)),
         "stand_up_p95_s": float(np.quantile(stand_up, 0.95, method="nearest")),
-        "randomised_toe_error_cm": mean("randomised", "toe_error_cm", "mean"),
-        "nominal_toe_error_cm": mean("toes", "toe_error_cm", "mean"),
-        "nominal_drift_m": mean("toes", "drift_m"),
-        "nominal_knee_torque_rms_nm": mean("toes", "torque_nm", "knee_rms"),
-        "nominal_minutes_to_limit": _mean_minutes([r["minutes_to_limit"] for r in kinds["toes"]]),
-        "walk_m_s": {
-            f"{speed:+.1f}": float(np.mean([r["forward_m_s"] for r in kinds["walk"] if r["commanded_m_s"] == speed]))
-            for speed in (-0.3, 0.3)
-        },
-        "turn_error_rad": {
-            f"{np.rad2deg(turn):+.0f}": float(
-                np.mean([r["turn_error_rad"] for r in kinds["turn"] if r["commanded_rad"] == turn])
-            )
-            for turn in TURNS
-        },
-        "nominal_falls": int(sum(r["falls"] for kind in ("toes", "walk", "turn") for r in kinds[kind])),
+        "randomised_toe_error_cm": _mean([r["toe_error_cm"]["mean"] for r in randomised]),
+        "nominal_toe_error_cm": _mean([r["toe_error_cm"]["mean"] for r in toes]),
+        "nominal_drift_m": _mean([r["drift_m"] for r in toes]),
+        "nominal_knee_torque_rms_nm": _mean([r["torque_nm"]["knee_rms"] for r in toes]),
+        "nominal_minutes_to_limit": _mean_minutes([r["minutes_to_limit"] for r in toes]),
+        "walk_m_s": walks,
+        "turn_error_rad": turns,
+        "nominal_falls": int(sum(r["falls"] for r in rows if r["kind"] != "randomised")),
     }

@@ -100,7 +100,8 @@ def _figures(job: Job, tracker: Policy, sit_down: str) -> dict[str, Any]:
     result, recorder = play_policy_switch(job, tracker, cached_policy(sit_down, job.robot.robot_model))
     log = result.log
     begin = float(log.t[np.argmax(log.phase == PHASES.index("sit_down"))])
-    touchdown, end = recorder.touchdown(begin), final_pose(log, description)
+    touchdown = recorder.touchdown(begin)
+    end = final_pose(log, description)
     gentle = not touchdown.head_touched and touchdown.impact_speed < GENTLE
     return {
         "seed": job.seed,

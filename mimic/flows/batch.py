@@ -23,10 +23,15 @@ from mimic.flows.provenance import COMMAND, provenance
 from mimic.flows.reporter import Reporter, SilentReporter, reporting
 from mimic.flows.run_folder import METRICS, TARGETS, save_logs
 from mimic.io import store
+from mimic.jobs.local import Progress
 from mimic.version import __version__
 
-ITEMS, SUMMARY, PAGE = "items", "summary.parquet", "summary.html"
-"""What is in the folder of a batch: a folder for each file, and the table twice."""
+ITEMS = "items"
+"""Folder, in that of a batch, with a folder for each file."""
+SUMMARY = "summary.parquet"
+"""Its table as Parquet."""
+PAGE = "summary.html"
+"""Its table as a page."""
 
 ROW: Mapping[str, type] = {
     "file": str,
@@ -124,17 +129,12 @@ def batch(
         SourceError: If there is nothing to play.
         ConfigError, AssetError, ContractError: If folder, policy or effects cannot be used.
     """
-    settings, run, effects = settings or InputSettings(), run or RunSettings(), effects or EffectsSettings()
+    settings = settings or InputSettings()
+    run = run or RunSettings()
+    effects = effects or EffectsSettings()
     reporter = reporting(reporter)
     refuse_second_video(settings, "a folder has many: play its pairs one by one")
-    if not folder.is_dir():
-        raise SourceError(f"{folder} is not a folder; to play a single file: mimic {folder} --sim")
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"{out} is a file; name a folder with --out")
-    sources = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.is_relative_to(out)]
-    sources = [path for path in sources if not path.name.startswith(".") and playable(path)]
-    if not sources:
-        raise SourceError(f"there is no video and no motion file in {folder}")
+    sources = _sources(folder, out)
     store.check_writable(out)
     settings_text = settings_key(settings, run, effects)
     items = (out / ITEMS).resolve()
@@ -153,32 +153,63 @@ def batch(
         )
         for path in sources
     ]
-    rows: dict[int, dict[str, Any]] = {i: row for i, job in enumerate(jobs) if (row := finished(job)) is not None}
+    rows = _finished(jobs)
     if rows:
         reporter.note(f"{len(rows)} of {len(jobs)} files were finished before and are not played again")
-    same = {job.key: i for i, job in reversed(list(enumerate(jobs)))}  # equal files are played once
-    left = [i for i, job in enumerate(jobs) if i not in rows and same[job.key] == i]
     interrupted = False
     try:
-        with (
-            reporter.progress("files") as progress,
-            closing(_results([jobs[i] for i in left], workers, ray)) as results,
-        ):
-            progress(len(rows), len(jobs))
-            for at, result in results:
-                job = jobs[left[at]]
-                rows[left[at]] = result if isinstance(result, dict) else _failed(job, result.reason)
-                for i, twin in enumerate(jobs):
-                    if twin.key == job.key:
-                        rows[i] = {**rows[left[at]], "file": twin.name}
-                progress(len(rows), len(jobs))
+        with reporter.progress("files") as progress:
+            _play_all(jobs, rows, workers, ray, progress)
     except KeyboardInterrupt:
         interrupted = True
-        _sweep(items)  # a file may be whole although its worker had no time to say so
-        rows |= {i: row for i, job in enumerate(jobs) if i not in rows and (row := finished(job)) is not None}
-    ordered = tuple(rows[i] for i in sorted(rows))
+        _sweep(items)
+        rows = {**_finished(jobs), **rows}  # a file may be whole although its worker had no time to say so
+    ordered = tuple(rows[job.name] for job in jobs if job.name in rows)
     _write_summary(ordered, out, jobs[0], unplayed=len(jobs) - len(rows))
     return Batch(rows=ordered, files=len(jobs), interrupted=interrupted, page=out / PAGE, summary=out / SUMMARY)
+
+
+def _sources(folder: Path, out: Path) -> list[Path]:
+    """Return the videos and motion files of a folder.
+
+    Raises:
+        SourceError: If there are none.
+        ConfigError: If ``out`` is a file.
+    """
+    if not folder.is_dir():
+        raise SourceError(f"{folder} is not a folder; to play a single file: mimic {folder} --sim")
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out} is a file; name a folder with --out")
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.is_relative_to(out)]
+    sources = [path for path in files if not path.name.startswith(".") and playable(path)]
+    if not sources:
+        raise SourceError(f"there is no video and no motion file in {folder}")
+    return sources
+
+
+def _finished(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
+    """Return the rows of jobs that were finished before, by the name of the job."""
+    found = {job.name: finished(job) for job in jobs}
+    return {name: row for name, row in found.items() if row is not None}
+
+
+def _play_all(
+    jobs: Sequence[Job], rows: dict[str, dict[str, Any]], workers: int, ray: str | None, progress: Progress
+) -> None:
+    """Play the jobs that have no row, and add their rows; files of the same content are played once."""
+    twins: dict[str, list[Job]] = {}
+    for job in jobs:
+        if job.name not in rows:
+            twins.setdefault(job.key, []).append(job)
+    left = [same[0] for same in twins.values()]
+    progress(len(rows), len(jobs))
+    with closing(_results(left, workers, ray)) as results:
+        for at, result in results:
+            job = left[at]
+            row = result if isinstance(result, dict) else _failed(job, result.reason)
+            for twin in twins[job.key]:
+                rows[twin.name] = {**row, "file": twin.name}
+            progress(len(rows), len(jobs))
 
 
 def _results(jobs: list[Job], workers: int, ray: str | None) -> Generator[tuple[int, Any]]:
@@ -243,7 +274,8 @@ def play_job(job: Job) -> dict[str, Any]:
 
 
 def _play(job: Job) -> dict[str, Any]:
-    silent, begin = SilentReporter(), time.perf_counter()
+    silent = SilentReporter()
+    begin = time.perf_counter()
     description = load_robot(job.robot.robot_model)
     motion = load_motion(job.source, job.settings, description=description, reporter=silent)
     done = play(motion, settings=job.run, effects=job.robot)

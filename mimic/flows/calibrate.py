@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,8 +23,12 @@ if TYPE_CHECKING:
     from mimic.sysid.log.checks import LogCheck
     from mimic.sysid.result import Calibration
 
-REPORT, RESULT, EFFECTS = "report.html", "calibration.json", "effects.toml"
-"""Files of a calibration."""
+REPORT = "report.html"
+"""Report of a calibration."""
+RESULT = "calibration.json"
+"""Its figures."""
+EFFECTS = "effects.toml"
+"""Its effects, as simulation and training read them."""
 
 
 def calibrate(
@@ -56,59 +61,93 @@ def calibrate(
         AssetError: If a file cannot be read.
         ConfigError: If a setting names an effect that does not exist, or a note is none.
     """
-    from mimic.dynamics.effect_set import EffectSet
     from mimic.io.joint_log import JointLog
     from mimic.sysid.calibrate import calibrate as explain
     from mimic.sysid.calibrate import check_names
-    from mimic.sysid.log.pool import refuse_contradictions
 
-    settings, reporter = settings or CalibrateSettings(), reporting(reporter)
+    settings = settings or CalibrateSettings()
+    reporter = reporting(reporter)
     if out is not None:
         if out.exists() and not out.is_dir():
             raise ConfigError(f"{out} is a file; name a folder with --out")
         store.check_writable(out)
     check_names(settings)
     logs = [log] if isinstance(log, (str, Path, JointLog)) else list(log)
-    given = [*logs, *held_out]
     if not logs:
         raise ConfigError("no log is given; give one log of the machine or more (.parquet or .csv)")
+    given = [*logs, *held_out]
+    names = _names(given)
     kind = [] if settings.drive == "log" else [f"drive={settings.drive}"]
-    names, said = _names(given), _said([*notes, *kind], given)
-    checks, machines, warnings, read = [], [], [], []
+    said = _said([*notes, *kind], given)
     with reporter.activity("replays") as show:
-        for one, called, told in zip(given, names, said, strict=True):
-            show(f"reading {called}" if len(given) > 1 else "reading the log", 0)
-            try:
-                read.append(_read(one, told))
-            except CalibrationError as wrong:
-                raise CalibrationError(f"{called}: {wrong}" if len(given) > 1 else str(wrong)) from None
-        refuse_contradictions(read, names)  # before a log is held against the model, which names one log only
-        for one, called in zip(read, names, strict=True):
-            try:
-                check, machine, found = checked_log(one, model, show)
-            except CalibrationError as wrong:
-                raise CalibrationError(f"{called}: {wrong}" if len(given) > 1 else str(wrong)) from None
-            checks.append(check)
-            warnings += [f"{called}: {line}" if len(given) > 1 else line for line in found]
-            machines.append(machine)
-        fitted, unseen = [c.log for c in checks[: len(logs)]], [c.log for c in checks[len(logs) :]]
-        result = explain(fitted, machines[0], settings, show, held_out=unseen, names=names)
-    inputs = {
-        **{"log" if i == 0 else f"log {i + 1}": Path(p) for i, p in enumerate(given) if isinstance(p, (str, Path))},
-        **({"model": Path(model)} if isinstance(model, (str, Path)) else {}),
-    }
+        checked = _checked_logs(given, names, said, model, show)
+        usable = [check.log for check, _, _ in checked]
+        machine = checked[0][1]
+        fitted = usable[: len(logs)]
+        unseen = usable[len(logs) :]
+        result = explain(fitted, machine, settings, show, held_out=unseen, names=names)
+    warnings = [line for _, _, lines in checked for line in lines]
+    files = {_log_name(i): Path(one) for i, one in enumerate(given) if isinstance(one, (str, Path))}
+    if isinstance(model, (str, Path)):
+        files["model"] = Path(model)
     name = names[0] if len(logs) == 1 else f"{len(logs)} logs: {', '.join(names[: len(logs)])}"
-    metadata = {"name": name, **result.metadata, "provenance": store.plain(provenance(settings, inputs))}
-    effects = EffectSet(tuple(replace(e, source=f"calibration of {name}") for e in result.effects))
-    result = replace(
-        result,
-        warnings=tuple(dict.fromkeys((*warnings, *result.warnings))),
-        metadata=metadata,
-        effects=effects,
-    )
+    result = _signed(result, name, warnings, store.plain(provenance(settings, files)))
     if out is not None:
         save_calibration(result, out)
     return result
+
+
+def _log_name(index: int) -> str:
+    return "log" if index == 0 else f"log {index + 1}"
+
+
+def _signed(result: Calibration, name: str, warnings: Sequence[str], made_by: dict[str, Any]) -> Calibration:
+    """Return a calibration with what the flow knows: the name of its logs, their warnings, and what made it."""
+    from mimic.dynamics.effect_set import EffectSet
+
+    return replace(
+        result,
+        warnings=tuple(dict.fromkeys((*warnings, *result.warnings))),
+        metadata={"name": name, **result.metadata, "provenance": made_by},
+        effects=EffectSet(tuple(replace(e, source=f"calibration of {name}") for e in result.effects)),
+    )
+
+
+def _checked_logs(
+    given: Sequence[str | Path | JointLog],
+    names: Sequence[str],
+    said: Sequence[Mapping[str, Any]],
+    model: str | Path | MachineModel | None,
+    show: Activity,
+) -> list[tuple[LogCheck, MachineModel, list[str]]]:
+    """Return what `checked_log` does for each log; where there are several, messages begin with the name of one.
+
+    Raises:
+        CalibrationError, AssetError: If a log cannot be used or contradicts another.
+    """
+    from mimic.sysid.log.pool import refuse_contradictions
+
+    prefix = [f"{name}: " if len(given) > 1 else "" for name in names]
+    read = []
+    for one, name, told, start in zip(given, names, said, prefix, strict=True):
+        show(f"reading {name}" if start else "reading the log", 0)
+        with _errors_begin_with(start):
+            read.append(_read(one, told))
+    refuse_contradictions(read, names)  # before a log is held against the model, which names one log only
+    checked = []
+    for log, start in zip(read, prefix, strict=True):
+        with _errors_begin_with(start):
+            check, machine, warnings = checked_log(log, model, show)
+        checked.append((check, machine, [start + line for line in warnings]))
+    return checked
+
+
+@contextmanager
+def _errors_begin_with(start: str) -> Iterator[None]:
+    try:
+        yield
+    except CalibrationError as wrong:
+        raise CalibrationError(f"{start}{wrong}") from None
 
 
 def _names(logs: Sequence[str | Path | JointLog]) -> list[str]:
@@ -225,9 +264,11 @@ def _missing_gains(log: JointLog, machine: MachineModel) -> list[str]:
     lacking = [key for key in ("kp", "kd") if key not in log.metadata and machine.drives.volts is None]
     if log.q_des is None or not lacking:
         return []
-    own = ((key, sorted(set(map(float, getattr(machine.drives, key))))) for key in lacking)
-    values = " and ".join(f"{key} {', '.join(f'{v:.4g}' for v in r[:3])}{' …' if len(r) > 3 else ''}" for key, r in own)
-    return [f"the notes of the log lack {' and '.join(lacking)}; the model's values are used: {values}"]
+    own = []
+    for key in lacking:
+        values = sorted(set(map(float, getattr(machine.drives, key))))
+        own.append(f"{key} {', '.join(f'{value:.4g}' for value in values[:3])}{' …' if len(values) > 3 else ''}")
+    return [f"the notes of the log lack {' and '.join(lacking)}; the model's values are used: {' and '.join(own)}"]
 
 
 def save_calibration(result: Calibration, out: Path) -> list[Path]:

@@ -151,8 +151,11 @@ def play_camera(
     from mimic.control.real_time import PacedPlant
     from mimic.simulation.plant import SimulatedPlant, plant_options
 
-    settings, live, run = settings or InputSettings(), live or LiveSettings(), run or RunSettings()
-    effects, reporter = effects or EffectsSettings(), reporting(reporter)
+    settings = settings or InputSettings()
+    live = live or LiveSettings()
+    run = run or RunSettings()
+    effects = effects or EffectsSettings()
+    reporter = reporting(reporter)
     folder = new_run_folder(camera_name(camera), out)
     warn_of_stand_effects(effects, reporter)
     description = load_robot(effects.robot_model)
@@ -177,7 +180,8 @@ def play_camera(
         )
         sink = None if view is None else view.tick
         done = play(targets, plant=plant, settings=run, effects=effects, sink=sink)
-    record.zero, record.overruns = run.blend, plant.overruns
+    record.zero = run.blend
+    record.overruns = plant.overruns
     parts = {"pose": settings.pose, "retarget": settings.retarget, "live": live, "run": run, "robot": effects}
     source = Path(camera) if Path(camera).is_file() else None
     return save_run(done, folder, reporter, settings=parts, source=source, camera=record), record

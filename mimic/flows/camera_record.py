@@ -50,7 +50,7 @@ class CameraRecord:
     def track(self) -> LiveTrack:
         """Return the rows as a record."""
         rows = self.seen
-        wrists = [[bool(row.valid[i]) for i in WRISTS] for row in rows]
+        wrists = [row.valid[WRISTS] for row in rows]
         return LiveTrack(
             t=np.array([row.t for row in rows]) - self.began,
             latency=np.array(self.latency),
@@ -84,10 +84,12 @@ class CameraRecord:
         from mimic.sources.video.shots import describe, find_changes
         from mimic.sources.video.video import doubts
 
-        rows, pose = self.seen[-len(track.t) :], self.settings.pose
+        rows = self.seen[-len(track.t) :]
+        pose = self.settings.pose
         person = person_rows(track.score, pose.min_visibility)
         clothes = np.array([row.clothes for row in rows])
-        still, light = np.zeros(len(rows)), np.full((len(rows), 2), 100.0)  # a camera has no cuts and no fades
+        still = np.zeros(len(rows))
+        light = np.full((len(rows), 2), 100.0)  # a camera has no cuts and no fades
         changes = find_changes(track, person, clothes, still, light)
         return (*rows[-1].people, *describe(changes, track.t), *doubts(track, pose))
 

@@ -94,7 +94,8 @@ def zero_robot(
     description = load_robot()
     (operator or Operator()).confirm("Keep your hands off it from here on.")
     with open_session(bus_url, bus or WiringSettings(), zeros=True) as robot:
-        known, motor_bus = None if again else robot.homing, robot.motor_bus()
+        known = None if again else robot.homing
+        motor_bus = robot.motor_bus()
         look_first(motor_bus)
         refuse(at_rest(motor_bus, description), "no zero was set")
         homing, q = home(motor_bus, description, known)
@@ -185,10 +186,13 @@ def probe_robot(
 
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
-    settings, bus = settings or ProbeSettings(), bus or DriveSettings()
-    operator, reporter = operator or Operator(), reporting(reporter)
+    settings = settings or ProbeSettings()
+    bus = bus or DriveSettings()
+    operator = operator or Operator()
+    reporter = reporting(reporter)
     store.check_writable(out.parent)
-    description, signals = load_robot(robot_on(bus_url)), Signals()
+    description = load_robot(robot_on(bus_url))
+    signals = Signals()
     if motion is None:
         targets = probe_motion(description, settings)
     else:

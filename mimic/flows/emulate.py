@@ -113,8 +113,10 @@ def serve_robot(
         AssetError: If a file cannot be read.
         BusError, MissingExtra: If its network cannot be opened.
     """
-    options, settings = options or ServeOptions(), settings or EmulateSettings()
-    effects, reporter = effects or EffectsSettings(), reporting(reporter)
+    options = options or ServeOptions()
+    settings = settings or EmulateSettings()
+    effects = effects or EffectsSettings()
+    reporter = reporting(reporter)
     emulated, faults, listen = (_on_can if options.board is None else _board)(options, settings, effects, reporter)
     shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
     with real_time(EMULATOR, inherited=True):  # also for the threads in which a network receives
@@ -247,7 +249,8 @@ class _Viewer:
         import mujoco.viewer
 
         if not model.nlight:  # hung up there is no scene around the robot
-            model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.7
+            model.vis.headlight.ambient[:] = 0.4
+            model.vis.headlight.diffuse[:] = 0.7
         before = set(threading.enumerate())
         self._handle = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
         self._threads = [thread for thread in threading.enumerate() if thread not in before]

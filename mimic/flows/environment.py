@@ -22,7 +22,7 @@ from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Asked, Run
 from mimic.errors import ConfigError, PlantError
 from mimic.evaluation.episode import OF_EPISODES, TIMING, TRACKING_RULES, of_episode
-from mimic.evaluation.paper_columns import WEIGHTS, tracking
+from mimic.evaluation.paper_reward import TRACKING_WEIGHTS, tracking
 from mimic.evaluation.policy import command_script
 from mimic.geometry import heading_from_quat
 from mimic.policy.contract import ObservationBuilder
@@ -162,7 +162,7 @@ class Env(gymnasium.Env[Observation, Observation]):
             step=np.asarray(self._builder.steps),
             description=self.description,
         )
-        return float(sum(WEIGHTS[name] * value for name, value in terms.items()))
+        return float(sum(TRACKING_WEIGHTS[name] * value for name, value in terms.items()))
 
     def _seen(self) -> tuple[Observation, dict[str, Any]]:
         asked = self._asked

@@ -224,7 +224,8 @@ def _export_dataset(folders: list[Path], out: Path, *, video: bool, reporter: Re
     robots = {str(log.metadata.get("robot", DEFAULT_ROBOT)) for log in logs}
     if len(rates) > 1 or len(robots) > 1:
         raise ConfigError(f"a dataset has one robot and one rate; these runs have {robots} at {rates} Hz")
-    fps, robot = rates.pop(), robots.pop()
+    fps = rates.pop()
+    robot = robots.pop()
     with reporter.progress("dataset") as progress:
         write_dataset(
             out,

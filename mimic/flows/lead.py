@@ -66,13 +66,14 @@ def lead(
         NoOffscreenGL: If there is no off-screen rendering for the film.
     """
     from mimic.evaluation.episode import OF_EPISODES
-    from mimic.evaluation.leading import lead_robot
-    from mimic.evaluation.led_by_hand import lead_figures
+    from mimic.evaluation.leading import lead_figures, lead_robot
     from mimic.policy.runtime import load_policy
     from mimic.simulation.hand import Hand
     from mimic.simulation.plant import SimulatedPlant, plant_options
 
-    reporter, hand, leading = reporting(reporter), hand or HandSettings(), leading or LeadingSettings()
+    reporter = reporting(reporter)
+    hand = hand or HandSettings()
+    leading = leading or LeadingSettings()
     warn_of_stand_effects(robot, reporter)
     description = load_robot(robot.robot_model)
     player = load_policy(policy, description)
@@ -82,9 +83,11 @@ def lead(
     if interactive:
         result = _by_mouse(plant, player, leading)
         return Led(figures={}, log=result.log, fell_at=result.fell_at)
-    pull, end = Hand(plant.model, hand), hand.end + hand.after
+    pull = Hand(plant.model, hand)
+    end = hand.end + hand.after
     with reporter.progress("ticks") as progress:
-        total, done = round(end / description.dt), 0
+        total = round(end / description.dt)
+        done = 0
 
         def follow(tick: object) -> bool:
             nonlocal done
@@ -129,8 +132,11 @@ def _by_mouse(plant: Any, policy: Any, leading: LeadingSettings) -> Any:
         strongest = float(np.linalg.norm(data.xfrc_applied[:, :3], axis=1).max())
         data.xfrc_applied[:] *= min(1.0, MOST_BY_MOUSE / max(strongest, 1e-9))
 
-    viewer.cam.type, viewer.cam.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, plant.model.body(BASE).id
-    viewer.cam.distance, viewer.cam.elevation, viewer.cam.azimuth = 1.8, -12.0, 150.0
+    viewer.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+    viewer.cam.trackbodyid = plant.model.body(BASE).id
+    viewer.cam.distance = 1.8
+    viewer.cam.elevation = -12.0
+    viewer.cam.azimuth = 150.0
     viewer.opt.geomgroup[:] = 1  # it has collision shapes only
     begin = time.monotonic()
 

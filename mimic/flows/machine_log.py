@@ -148,7 +148,8 @@ def simulate_log(
     from mimic.io.joint_log import write_log
     from mimic.sysid.predict import simulate_log as simulate
 
-    motion, settings = motion or LogMotion(), settings or LogSettings()
+    motion = motion or LogMotion()
+    settings = settings or LogSettings()
     if out is not None:
         if out.suffix.lower() not in (".parquet", ".csv"):
             raise ConfigError(f"{out} is neither .parquet nor .csv; name a log that can be written")
@@ -165,7 +166,8 @@ def simulate_log(
     if model is None:
         low, high, centre = hung_ranges(load_robot())
     else:
-        low, high = np.asarray(machine.low), np.asarray(machine.high)
+        low = np.asarray(machine.low)
+        high = np.asarray(machine.high)
         unlimited = [j for j, a, b in zip(machine.joints, low, high, strict=True) if not np.isfinite(b - a)]
         if unlimited:
             raise ConfigError(

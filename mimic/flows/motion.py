@@ -199,7 +199,8 @@ def motion_from_text(
     """
     from mimic.sources.text.planner import describe, plan, uses_model
 
-    settings, reporter = input_settings(settings, changes), reporting(reporter)
+    settings = input_settings(settings, changes)
+    reporter = reporting(reporter)
     refuse_second_video(settings, "a sentence is none")
     loading = _Loading(settings=settings, reporter=reporter, description=description)
     reach = loading.reach()
@@ -239,7 +240,9 @@ def track_video(
     from mimic.sources.video.video import pose_cache_key
     from mimic.sources.video.video import track_video as track
 
-    path, settings, reporter = existing(video), settings or PoseSettings(), reporting(reporter)
+    path = existing(video)
+    settings = settings or PoseSettings()
+    reporter = reporting(reporter)
     if settings.also is not None:
         return _track_two(path, existing(settings.also), replace(settings, also=None), cache, reporter)
     if path.is_dir():
@@ -367,10 +370,14 @@ def _of_wrists(wrists: WristTrack, loading: _Loading) -> Motion:
 
 ACROSS = 0.4
 """A hand whose median is farther across [arm lengths] is in the place of the other hand, or given in other axes."""
-SPARSE, FARTHEST = (0.002, 10.0), 2.0
-"""Plausible times between two commands or targets [s], and the farthest that a toe can be from the base [m]."""
-LONGEST, FASTEST = (0.15, 1.6), 20.0
-"""Plausible lengths of an arm [m], and the speed that a hand seldom passes [arm lengths/s]: 12 m/s."""
+SPARSE = (0.002, 10.0)
+"""Plausible times between two commands or targets [s]."""
+FARTHEST = 2.0
+"""Farthest that a toe can be from the base [m]."""
+LONGEST = (0.15, 1.6)
+"""Plausible lengths of an arm [m]."""
+FASTEST = 20.0
+"""Speed that a hand seldom passes [arm lengths/s]: 12 m/s."""
 
 
 def _implausible(wrists: WristTrack) -> Iterator[str]:
@@ -380,7 +387,8 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
         SourceError: If they are in no arm lengths, or of a body that has no arms' length.
     """
     reach = np.linalg.norm(wrists.p_SH[wrists.valid], axis=-1)
-    if len(reach) and not 0.2 <= (longest := float(np.quantile(reach, 0.98))) <= 2.0:
+    longest = float(np.quantile(reach, 0.98)) if len(reach) else 1.0
+    if not 0.2 <= longest <= 2.0:
         raise SourceError(
             f"the wrists are up to {longest:.3g} arm lengths from their shoulders; expected about 1: divide them by "
             "the length of the arm"
@@ -397,7 +405,8 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
         yield "both hands are mostly on one side: if y is up or down in the data, turn it to x forward, y left, z up"
     step = np.linalg.norm(np.diff(wrists.p_SH, axis=0), axis=-1) / np.diff(wrists.t)[:, None]
     known = step[np.isfinite(step)]
-    if len(known) and (speed := float(np.quantile(known, 0.9))) > FASTEST:
+    speed = float(np.quantile(known, 0.9)) if len(known) else 0.0
+    if speed > FASTEST:
         yield f"the hands move at {speed:.0f} arm lengths a second: the times or the frame rate are too short"
 
 
@@ -445,7 +454,8 @@ def _read_keyframes(path: Path, loading: _Loading) -> Motion:
     from mimic.io.keyframes import read_keyframes
     from mimic.sources.text.planner import check
 
-    script, reach = read_keyframes(path), loading.reach()
+    script = read_keyframes(path)
+    reach = loading.reach()
     check(script, reach, loading.settings.language, f"{path.name} asks for what this robot cannot do")
     return _of_script(script, reach, loading)
 

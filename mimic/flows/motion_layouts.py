@@ -35,9 +35,11 @@ def mjlab_motion(log: RunLog, ticks: np.ndarray, fps: int, description: RobotDes
     qpos = qpos_at_ticks(log, model)[ticks]
     qvel = _velocities(model, qpos, 1.0 / fps)
     bodies = range(1, model.nbody)  # without the world
-    pose, velocity = np.empty((len(qpos), len(bodies), 7)), np.empty((len(qpos), len(bodies), 6))
+    pose = np.empty((len(qpos), len(bodies), 7))
+    velocity = np.empty((len(qpos), len(bodies), 6))
     for row in range(len(qpos)):
-        data.qpos[:], data.qvel[:] = qpos[row], qvel[row]
+        data.qpos[:] = qpos[row]
+        data.qvel[:] = qvel[row]
         mujoco.mj_forward(model, data)
         pose[row] = np.hstack([data.xpos[1:], data.xquat[1:]])
         for body in bodies:
@@ -74,7 +76,8 @@ def _velocities(model: mujoco.MjModel, qpos: FloatArray, dt: float) -> FloatArra
     """Return MuJoCo's velocities (T, nv) as central differences, one-sided at the ends."""
     qvel = np.zeros((len(qpos), model.nv))
     for row in range(len(qpos)):
-        before, after = max(row - 1, 0), min(row + 1, len(qpos) - 1)
+        before = max(row - 1, 0)
+        after = min(row + 1, len(qpos) - 1)
         if after > before:
             mujoco.mj_differentiatePos(model, qvel[row], (after - before) * dt, qpos[before], qpos[after])
     return qvel

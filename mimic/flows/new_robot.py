@@ -28,7 +28,8 @@ INSIDE = 0.05
 """Distance of the poses from the joint limits [rad]."""
 SAME = 1e-4
 """A site this near to the centre of a toe marks it [m]."""
-DERIVED, GUESSED = "derived from the MJCF", "GUESSED: the Go2's{}; measure it"
+DERIVED = "derived from the MJCF"
+GUESSED = "GUESSED: the Go2's{}; measure it"
 POSES = {"lie": (1.25, -2.5, 1.25, -2.5), "four": (0.8, -1.6, 0.8, -1.6), "upright": (0.9, -1.6, 1.8, -1.2)}
 """Hip and knee of the front legs, then of the hind legs [rad]; the upright hind hip is then solved for."""
 SCALED = {
@@ -116,8 +117,8 @@ def _legs(model: mujoco.MjModel, mjcf: Path) -> _Legs:
         known.append([model.body(b).name for b in row] + [model.joint(j).name for j in on])
     for names in LEG_NAMES:
         patterns = [name.replace(names[0], "{leg}") for name in known[0]]
-        expected = [[pattern.replace("{leg}", leg) for pattern in patterns] for leg in names]
-        if expected == known:
+        expected = [pattern.replace("{leg}", leg) for leg in names for pattern in patterns]
+        if expected == [name for leg in known for name in leg]:
             return _Legs(joints=joints, links=links, base=int(model.body_parentid[links[0, 0]]), names=names)
     raise AssetError(
         f"{mjcf} calls its joints {', '.join(known[0][3:])} …; expected names that differ by FL, FR, RL, RR or such"
@@ -129,7 +130,9 @@ def _chains(model: mujoco.MjModel, mjcf: Path) -> tuple[IntArray, IntArray]:
     hinges = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
     of_body = {int(model.jnt_bodyid[j]): j for j in hinges}
     first = [body for body in of_body if int(model.body_parentid[body]) not in of_body]
-    chains = [[body for body in of_body if _ancestor(model, body, start)] for start in first]
+    chains = []
+    for start in first:
+        chains.append([body for body in of_body if _ancestor(model, body, start)])
     if len(hinges) != 12 or [len(chain) for chain in chains] != [3] * 4:
         raise AssetError(f"{mjcf} has {len(hinges)} hinges in {len(chains)} chains; expected four legs of three joints")
     place = {_corner(model, chain[0]): chain for chain in chains}

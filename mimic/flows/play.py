@@ -128,7 +128,9 @@ def play(
     from mimic.policy.runtime import Policy
     from mimic.policy.runtime import load_policy as policy_for
 
-    settings, effects, reporter = settings or RunSettings(), effects or EffectsSettings(), reporting(reporter)
+    settings = settings or RunSettings()
+    effects = effects or EffectsSettings()
+    reporter = reporting(reporter)
     if not isinstance(settings, RunSettings):
         raise ConfigError(
             f"play takes RunSettings; to give {type(settings).__name__}: play(load_motion(source, settings))"
@@ -204,7 +206,9 @@ def play_source(
     Raises:
         SourceError, AssetError, ConfigError, ContractError: If something cannot be used; nothing is written then.
     """
-    settings, run, effects = settings or InputSettings(), run or RunSettings(), effects or EffectsSettings()
+    settings = settings or InputSettings()
+    run = run or RunSettings()
+    effects = effects or EffectsSettings()
     reporter = reporting(reporter)
     file = existing(source) if isinstance(source, Path) else None
     if film is not None and film.suffix != ".mp4":
@@ -251,7 +255,8 @@ def load_run(folder: str | Path) -> SavedRun:
         return store.load(folder / name, kind) if (folder / name).is_file() else None
 
     motion = None
-    targets, commands = stored(TARGETS, TargetTrack), stored(COMMANDS, CommandTrack)
+    targets = stored(TARGETS, TargetTrack)
+    commands = stored(COMMANDS, CommandTrack)
     if commands is not None:
         motion = Motion(commands=commands, targets=targets, pose=stored(POSE, PoseTrack))
     elif targets is not None:

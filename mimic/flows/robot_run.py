@@ -31,6 +31,7 @@ from mimic.records import CommandTrack, LiveCommands
 if TYPE_CHECKING:
     from mimic.control.supervisor import Event, Supervisor
     from mimic.hardware.hold_to_run import Hold
+    from mimic.hardware.session import Robot
     from mimic.policy.runtime import Policy
 
 HOLD_WITHIN = 20.0
@@ -124,34 +125,29 @@ def play_on_robot(
     from mimic.control.start import start_seconds
     from mimic.control.supervisor import Supervisor
     from mimic.control.tick import Safety, observation_width
-    from mimic.hardware.can.load import expected_load
     from mimic.hardware.can.step_budget import PARTS
     from mimic.hardware.hold_to_run import hold_to_run
-    from mimic.hardware.robot.board_wiring import BOARDS
-    from mimic.hardware.session import robot_session, wiring_of
+    from mimic.hardware.session import robot_session
     from mimic.policy.runtime import load_policy
 
-    settings, live, run, bus = (
-        settings or InputSettings(),
-        live or LiveSettings(),
-        run or RunSettings(),
-        bus or BusSettings(),
-    )
-    operator, reporter = operator or Operator(), reporting(reporter)
+    settings = settings or InputSettings()
+    live = live or LiveSettings()
+    run = run or RunSettings()
+    bus = bus or BusSettings()
+    operator = operator or Operator()
+    reporter = reporting(reporter)
     description = load_robot(robot_on(bus_url))
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = _motion(source, settings, policy, reporter)
     standing = source is None and camera is None
-    file, name = (source, source.name) if isinstance(source, Path) else (None, source or "robot")
-    name = name if camera is None else f"camera {camera}"
-    inference = max(_inference(one) for one in (policy, sit_down))
     rate_hz = (PARTS if policy.contract.interpolate else 1) / description.dt
-    folder = new_run_folder(source if source is not None else camera_name(camera) if camera else Path("robot"), out)
+    inference = max(_inference(policy), _inference(sit_down))
+    folder = new_run_folder(_source_of_folder(source, camera), out)
     moves = not bus.dry_run
     supervisor = Supervisor(description, strict=bus.tether, moves=moves)
     signals = Signals()
-    what = _announcement(None if standing else name, bus)
+    what = _announcement(_name(source, camera), bus)
     commands: CommandTrack | LiveCommands = motion.commands
     record: CameraRecord | None = None
     with ExitStack() as until_saved, ExitStack() as stack:
@@ -190,33 +186,31 @@ def play_on_robot(
         until_saved.enter_context(signals.caught())
         with _shown(supervisor, operator.show_event), undisturbed():
             done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
-        load: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
-        if bus_url not in BOARDS:
-            load = tuple(plant.load()), tuple(expected_load(wiring_of(bus_url, bus), rate_hz))
+        load, expected = _loads(plant, bus_url, bus, rate_hz)
         stack.close()
         if recorder.restore_events(done.events):
             reporter.warn(f"{folder} was removed while the robot ran; it is written again from memory")
         done = replace(done, motion=None if standing or record else motion)
         if record is not None:
             record.zero = run.blend
-        parts, more = {"run": run, "bus": bus, "live": live}, {"ending": plant.ending}
         signals.read()
-        try:
-            saved = save_run(done, folder, reporter, settings=parts, source=file, camera=record, more=more)
-        except OSError as reason:
-            raise AssetError(
-                f"{plant.ending}; the run could not be saved in {folder}: {reason.strerror or reason}. Make room, then "
-                f"run: mimic log salvage {folder}"
-            ) from None
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{plant.ending}; to save the run: mimic log salvage {folder}") from None
+        with _says_how_it_was_left(plant.ending, folder):
+            saved = save_run(
+                done,
+                folder,
+                reporter,
+                settings={"run": run, "bus": bus, "live": live},
+                source=source if isinstance(source, Path) else None,
+                camera=record,
+                more={"ending": plant.ending},
+            )
         recorder.discard()
     ended = RobotRun(
         saved=saved,
         bus_url=bus_url,
         ending=plant.ending,
-        load=load[0],
-        expected_load=load[1],
+        load=load,
+        expected_load=expected,
         camera=record,
         endless=source is None,
         shortfall=None if bus.dry_run else saved.run.shortfall,
@@ -227,9 +221,54 @@ def play_on_robot(
     return ended
 
 
+def _source_of_folder(source: Path | str | None, camera: str | None) -> Path | str:
+    """Return what the folder of a run is named after."""
+    if source is not None:
+        return source
+    return Path("robot") if camera is None else camera_name(camera)
+
+
+def _name(source: Path | str | None, camera: str | None) -> str | None:
+    """Return what a person calls the motion; None where the robot only stands."""
+    if camera is not None:
+        return f"camera {camera}"
+    return source.name if isinstance(source, Path) else source
+
+
+def _loads(plant: Robot, bus_url: str, bus: BusSettings, rate_hz: float) -> tuple[Sequence[float], Sequence[float]]:
+    """Return the measured and the expected load of each bus; none of a robot with a board."""
+    from mimic.hardware.can.load import expected_load
+    from mimic.hardware.robot.board_wiring import BOARDS
+    from mimic.hardware.session import wiring_of
+
+    if bus_url in BOARDS:
+        return (), ()
+    return tuple(plant.load()), tuple(expected_load(wiring_of(bus_url, bus), rate_hz))
+
+
+@contextmanager
+def _says_how_it_was_left(ending: str, folder: Path) -> Iterator[None]:
+    """Let a run that cannot be saved say how the robot was left, and how to save the run.
+
+    Raises:
+        AssetError: If a file cannot be written.
+        KeyboardInterrupt: On Ctrl-C.
+    """
+    try:
+        yield
+    except OSError as reason:
+        raise AssetError(
+            f"{ending}; the run could not be saved in {folder}: {reason.strerror or reason}. Make room, then "
+            f"run: mimic log salvage {folder}"
+        ) from None
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"{ending}; to save the run: mimic log salvage {folder}") from None
+
+
 def _inference(policy: Policy) -> float:
     """Return the median time that a policy takes [s]; the first calls, which are slow, are over then."""
-    observation, took = np.zeros(policy.contract.observation_size), []
+    observation = np.zeros(policy.contract.observation_size)
+    took = []
     for _ in range(WARM_UP):
         begin = time.perf_counter()
         policy.act(observation)
@@ -272,7 +311,8 @@ def _motion(source: Path | str | None, settings: InputSettings, policy: Policy, 
 @contextmanager
 def _shown(supervisor: Supervisor, show: Callable[[Event], None]) -> Iterator[None]:
     """Show what a supervisor finds, from a thread of its own, so that a slow terminal delays nothing."""
-    over, shown = threading.Event(), 0
+    over = threading.Event()
+    shown = 0
 
     def watch() -> None:
         nonlocal shown

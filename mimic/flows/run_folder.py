@@ -25,9 +25,16 @@ if TYPE_CHECKING:
     from mimic.robot.description import RobotDescription
     from mimic.view.scene.footage import Footage
 
-POSE, TARGETS, COMMANDS, SCRIPT = "pose.parquet", "targets.parquet", "commands.parquet", "motion.yaml"
-LOG, HEALTH, JOINTS, METRICS = "log.parquet", "health.parquet", "joints.parquet", "metrics.json"
-SCENE, ERROR = "scene.rrd", "error.txt"
+POSE = "pose.parquet"
+TARGETS = "targets.parquet"
+COMMANDS = "commands.parquet"
+SCRIPT = "motion.yaml"
+LOG = "log.parquet"
+HEALTH = "health.parquet"
+JOINTS = "joints.parquet"
+METRICS = "metrics.json"
+SCENE = "scene.rrd"
+ERROR = "error.txt"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -140,9 +147,11 @@ def new_run_folder(source: Path | str, out: Path | None) -> Path:
         name = "-".join(re.findall(r"[a-z0-9]+", source.lower())[:6]) or "text"
     else:
         name = source.parent.name if source.name in (TARGETS, COMMANDS, SCRIPT) else source.stem
-    folder, number = Path("runs") / name, 2
+    folder = Path("runs") / name
+    number = 2
     while folder.exists():
-        folder, number = Path("runs") / f"{name}-{number}", number + 1
+        folder = Path("runs") / f"{name}-{number}"
+        number = number + 1
     store.check_writable(folder.parent)
     return folder
 
@@ -209,7 +218,8 @@ def save_run(
         if motion is not None and motion.pose is not None:
             camera.report(motion.pose, reporter)
     save_logs(run, folder, made_by)
-    motion, result = run.motion, run.result
+    motion = run.motion
+    result = run.result
     if motion is not None:
         save_motion(motion, folder, made_by)
     metrics = run.metrics

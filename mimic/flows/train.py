@@ -69,7 +69,8 @@ def _names(settings: Any) -> list[str]:
 
 def _changed(settings: S, table: Mapping[str, Any], above: str = "") -> S:
     """Return settings with the values of a table, and of its tables."""
-    hints, values = get_type_hints(type(settings)), {}
+    hints = get_type_hints(type(settings))
+    values = {}
     for name, value in table.items():
         whole = above + name
         if name not in hints:
@@ -117,7 +118,8 @@ def train(
         from mimic.train.learn import train as learn_policy
     except ModuleNotFoundError as missing:
         raise MissingExtra(str(missing.name), "train") from None
-    mdp, learn = mdp or MdpSettings(), learn or LearnSettings()
+    mdp = mdp or MdpSettings()
+    learn = learn or LearnSettings()
     warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporting(reporter))
     if resume is not None and not resume.is_file():
         raise AssetError(f"there is no checkpoint {resume}")

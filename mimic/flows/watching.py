@@ -146,7 +146,8 @@ def _watch_can(bus_url: str, bus: LookSettings, seconds: float | None, every: fl
             seen = watcher.look(every)
             imu = seen.imu
             rates = {"orientation": (imu.count - before) / max(seen.t - last, 1e-3)}
-            before, last = imu.count, seen.t
+            before = imu.count
+            last = seen.t
             show(
                 Watched(
                     t=seen.t - begin,
@@ -165,7 +166,8 @@ def _watch_can(bus_url: str, bus: LookSettings, seconds: float | None, every: fl
 
 def _can_notes(watcher: Watcher, seen: Any, zeros: str) -> list[str]:
     """Return what there is to say beside the readings."""
-    motor_bus, notes = watcher.motor_bus, []
+    motor_bus = watcher.motor_bus
+    notes = []
     names = motor_bus.link.names if len(seen.load) > 1 else ("",)
     load = ", ".join(f"{name} {share:.0%}".strip() for name, share in zip(names, seen.load, strict=True))
     notes.append(f"bus load {load}; {seen.running} motors on")
@@ -184,7 +186,8 @@ def _can_notes(watcher: Watcher, seen: Any, zeros: str) -> list[str]:
 
 
 def _board_notes(driver: Any, *, heard: bool) -> list[str]:
-    last, notes = driver.report, driver.notes() if heard else ["no message comes from the robot"]
+    last = driver.report
+    notes = driver.notes() if heard else ["no message comes from the robot"]
     if last["errors"]:
         notes.append(f"{int(last['errors'])} messages made no sense")
     if last["foreign"]:
@@ -207,9 +210,11 @@ def _watch_board(bus_url: str, bus: LookSettings, seconds: float | None, every: 
 
     try:
         while seconds is None or driver.now() - begin < seconds:
-            before, since = counts(), driver.now()
+            before = counts()
+            since = driver.now()
             driver.listen(since + every)
-            now, last = driver.now(), driver.report
+            now = driver.now()
+            last = driver.report
             heard = now - float(last["heard"]) < max(0.5, every)
             names = ("q", "dq", "tau", "temperature", "quat_WB", "omega_B")
             show(

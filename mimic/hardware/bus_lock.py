@@ -25,7 +25,8 @@ def _take(bus: str) -> int | None:
     Raises:
         BusError: If another program holds it.
     """
-    path, file = _path(bus), -1
+    path = _path(bus)
+    file = -1
     for mode in (os.O_RDWR | os.O_CREAT, os.O_RDONLY):
         with suppress(OSError):
             file = os.open(path, mode | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)

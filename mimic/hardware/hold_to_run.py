@@ -14,16 +14,18 @@ from contextlib import contextmanager
 
 from mimic.errors import ConfigError
 
-FIRST_REPEAT, REPEAT = 0.8, 0.3
-"""A held key comes again within this: the first time, and later [s]. Terminals repeat after 0.25 to 0.66 s, then 10 to
-30 times a second."""
+FIRST_REPEAT = 0.8
+"""A held key comes again within this the first time [s]; terminals repeat after 0.25 to 0.66 s."""
+REPEAT = 0.3
+"""… and later within this [s]; terminals repeat 10 to 30 times a second."""
 
 KEY = "key"
 
 _EVENT = struct.Struct("<IhBB")
 """Time [ms], value, type and number. Source: Linux, Documentation/input/joydev/joystick-api.rst."""
 
-_BUTTON, _INITIAL = 0x01, 0x80
+_BUTTON = 0x01
+_INITIAL = 0x80
 
 
 class HeldKey:
@@ -36,8 +38,10 @@ class HeldKey:
             file: Descriptor of the terminal.
             clock: Returns the time [s].
         """
-        self._file, self._clock = file, clock
-        self._last, self._repeats = -1e9, False
+        self._file = file
+        self._clock = clock
+        self._last = -1e9
+        self._repeats = False
 
     def held(self) -> bool:
         """Return whether a key is held now; never waits."""
@@ -62,7 +66,9 @@ class HeldButton:
 
     def __init__(self, file: int) -> None:
         """Watch a joystick device that does not block."""
-        self._file, self._pressed, self._gone = file, set[int](), False
+        self._file = file
+        self._pressed = set[int]()
+        self._gone = False
 
     def held(self) -> bool:
         """Return whether a button is held now, without waiting; never again once the gamepad is gone."""

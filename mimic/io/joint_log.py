@@ -133,19 +133,51 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
                 f"{path} is a folder without joints.parquet; give a log (.parquet or .csv), a run folder or a LeRobot "
                 "dataset"
             )
-        columns, metadata = {}, {}
-    else:
-        columns, metadata = _read_csv(path) if path.suffix.lower() == ".csv" else _read_parquet(path)
-    side = path.with_suffix(".json")
-    if side.exists() and side != path:
-        metadata = {**metadata, **_notes(read_text(side), f"{side} beside the log")}
-    if notes:
-        metadata = {**metadata, **_notes(json.dumps(notes), f"what is said of {path}")}
-    if path.is_dir():
+        metadata = _said_of(path, notes)
         columns = read_dataset(path, metadata)
         metadata = {**metadata, UNITS: "rad"}
+    else:
+        columns, metadata = _read_csv(path) if path.suffix.lower() == ".csv" else _read_parquet(path)
+        metadata = {**metadata, **_said_of(path, notes)}
     if "t" not in columns:
         raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See {manual('log-format.md')}")
+    joints, found = _channels(columns, path)
+    taken = {"t", *(f"{channel}.{joint}" for channel in found for joint in joints)}
+    strays = sorted(n for n in columns if n not in taken and n.split(".")[0] in CHANNELS)
+    if strays:
+        raise CalibrationError(f"{path} has {strays[0]}, but no q.{strays[0].split('.', 1)[1]} that it belongs to")
+    extra = {name: column for name, column in columns.items() if name not in taken}
+    _check_gains(metadata, joints, path)
+    if metadata.get(UNITS) == "deg":
+        metadata = {**metadata, UNITS: "rad"}
+        found |= {name: np.deg2rad(found[name]) for name in ("q", "q_des", "dq") if name in found}
+    known = columns["t"][np.isfinite(columns["t"])]
+    check_clock(known, path.name, CalibrationError, repeats=True)
+    log = _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
+    readings = without_marks(log)[0]
+    fault = jump_fault(readings) or unit_fault(readings)
+    if fault is not None:
+        raise CalibrationError(f"{path.name}: {fault}")
+    return log
+
+
+def _said_of(path: Path, notes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return what the file beside a log and notes say of it."""
+    said: dict[str, Any] = {}
+    side = path.with_suffix(".json")
+    if side.exists() and side != path:
+        said.update(_notes(read_text(side), f"{side} beside the log"))
+    if notes:
+        said.update(_notes(json.dumps(notes), f"what is said of {path}"))
+    return said
+
+
+def _channels(columns: Mapping[str, FloatArray], path: Path) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
+    """Return the joints of a log, and its channels (T, J) by name.
+
+    Raises:
+        CalibrationError: If no joint was read or moved, or a channel lacks a joint.
+    """
     joints = tuple(name[2:] for name in columns if name.startswith("q."))
     if not joints:
         raise CalibrationError(
@@ -165,22 +197,7 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
         raise CalibrationError(
             f"{path} has neither q_des.<joint> nor force.<joint>: without what was asked, nothing can be replayed"
         )
-    taken = {"t", *(f"{channel}.{joint}" for channel in found for joint in joints)}
-    strays = sorted(n for n in columns if n not in taken and n.split(".")[0] in CHANNELS)
-    if strays:
-        raise CalibrationError(f"{path} has {strays[0]}, but no q.{strays[0].split('.', 1)[1]} that it belongs to")
-    extra = {name: column for name, column in columns.items() if name not in taken}
-    _check_gains(metadata, joints, path)
-    if metadata.get(UNITS) == "deg":
-        metadata = {**metadata, UNITS: "rad"}
-        found |= {name: np.deg2rad(found[name]) for name in ("q", "q_des", "dq") if name in found}
-    known = columns["t"][np.isfinite(columns["t"])]
-    check_clock(known, path.name, CalibrationError, repeats=True)
-    log = _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
-    readings = without_marks(log)[0]
-    if fault := jump_fault(readings) or unit_fault(readings):
-        raise CalibrationError(f"{path.name}: {fault}")
-    return log
+    return joints, found
 
 
 def without_marks(log: JointLog) -> tuple[JointLog, list[str]]:
@@ -189,7 +206,8 @@ def without_marks(log: JointLog) -> tuple[JointLog, list[str]]:
     It occurs more than once, and no reading comes near it: it is twice as far away as all others are from each other,
     and more than two turns.
     """
-    q, told = np.array(log.q), []
+    q = np.array(log.q)
+    told = []
     for j, joint in enumerate(log.joints):
         values, counts = np.unique(q[np.isfinite(q[:, j]), j], return_counts=True)
         for end, others in ((0, values[1:]), (-1, values[:-1])):
@@ -210,11 +228,15 @@ FACTORS = {
     "ticks of 65536 a turn": 65536 / (2 * np.pi),
 }
 """Units that angles come in, by their number in a radian."""
-ANGLES, WHOLE = [unit for unit in FACTORS if "ticks" not in unit], [unit for unit in FACTORS if unit != "degrees"]
-"""Those of measured angles, and those of whole numbers: an encoder counts no degrees."""
+ANGLES = [unit for unit in FACTORS if "ticks" not in unit]
+"""Units of measured angles."""
+WHOLE = [unit for unit in FACTORS if unit != "degrees"]
+"""Units of whole numbers: an encoder counts no degrees."""
 
-JUMP, FASTEST = 0.05, 10.0
-"""A jump is larger than so much [rad or m], and faster than so much [rad/s or m/s]: see `jump_fault`."""
+JUMP = 0.05
+"""A jump is larger than this [rad or m]: see `jump_fault`."""
+FASTEST = 10.0
+"""… and faster than this [rad/s or m/s]."""
 
 
 def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
@@ -233,29 +255,44 @@ def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
         for j, joint in enumerate(log.joints):
             x = values[np.isfinite(values[:, j]), j]
             bound = np.inf if limits is None else float(np.abs(limits[j]).max())
-            reach, span = (float(np.abs(x).max()), float(np.ptp(x))) if len(x) else (0.0, 0.0)
-            whole = _whole(x)
-            if not whole and (steps := _steps_of_a_turn(x)):
-                return (
-                    f"{name}.{joint} has steps of 1/{steps}: turns of an encoder, not radians, by a factor of 6.28; "
-                    'multiply it by 2 pi, or note "units": "rad" if that is right'
-                )
-            if span < 2 * np.pi or not (whole or reach > (3 * bound + 1 if np.isfinite(bound) else 4 * np.pi)):
-                continue
-            most = bound if np.isfinite(bound) else 2 * np.pi
-            likely = WHOLE if whole else ANGLES
-            units = [unit for unit in likely if reach <= 1.1 * FACTORS[unit] * most][:3]
-            offers = [f"{unit} ({FACTORS[unit]:.4g} a radian)" for unit in units]
-            offers += ["percent of the joint's range"] if reach <= 100.0 else []
-            scales = " or ".join(offers) or "something else"
-            limit = f"the joint's limit is {bound:.2f} rad" if np.isfinite(bound) else "a turn is 6.28 rad"
-            sign = ", with a sign bit or from a counter that wraps" if np.abs(np.diff(x)).max() > reach / 2 else ""
-            given = f"whole numbers up to {reach:.0f}{sign}" if whole else f"up to {reach:.4g}"
-            return (
-                f"{name}.{joint} is {given}, and {limit}: not radians, by a factor of at least {reach / most:.3g}, but "
-                f'{scales}; convert it, or note "units": "deg" or "rad" if that is right'
-            )
+            fault = _unit_fault(x, bound) if len(x) else None
+            if fault is not None:
+                return f"{name}.{joint} {fault}"
     return None
+
+
+def _unit_fault(x: FloatArray, bound: float) -> str | None:
+    """Return what says that positions of a joint (n,) are in no radians, after its name; None where nothing does.
+
+    Args:
+        x: The positions.
+        bound: The larger of its limits [rad]; infinite where it has none.
+    """
+    whole = _whole(x)
+    steps = None if whole else _steps_of_a_turn(x)
+    if steps is not None:
+        return (
+            f"has steps of 1/{steps}: turns of an encoder, not radians, by a factor of 6.28; "
+            'multiply it by 2 pi, or note "units": "rad" if that is right'
+        )
+    limited = bool(np.isfinite(bound))
+    reach = float(np.abs(x).max())
+    plausible = 3 * bound + 1 if limited else 4 * np.pi
+    if np.ptp(x) < 2 * np.pi or not (whole or reach > plausible):
+        return None
+    most = bound if limited else 2 * np.pi
+    units = [unit for unit in (WHOLE if whole else ANGLES) if reach <= 1.1 * FACTORS[unit] * most][:3]
+    offers = [f"{unit} ({FACTORS[unit]:.4g} a radian)" for unit in units]
+    if reach <= 100.0:
+        offers.append("percent of the joint's range")
+    scales = " or ".join(offers) or "something else"
+    limit = f"the joint's limit is {bound:.2f} rad" if limited else "a turn is 6.28 rad"
+    sign = ", with a sign bit or from a counter that wraps" if np.abs(np.diff(x)).max() > reach / 2 else ""
+    given = f"whole numbers up to {reach:.0f}{sign}" if whole else f"up to {reach:.4g}"
+    return (
+        f"is {given}, and {limit}: not radians, by a factor of at least {reach / most:.3g}, but "
+        f'{scales}; convert it, or note "units": "deg" or "rad" if that is right'
+    )
 
 
 def _steps_of_a_turn(x: FloatArray) -> int | None:
@@ -294,7 +331,8 @@ def jump_fault(log: JointLog) -> str | None:
             found = np.flatnonzero((np.abs(step) > JUMP) & (speed > most))
             if not len(found):
                 continue
-            size, row = float(step[found[0]]), int(rows[found[0] + over])
+            size = float(step[found[0]])
+            row = int(rows[found[0] + over])
             turns = round(size / (2 * np.pi))
             wraps = turns != 0 and abs(size - 2 * np.pi * turns) < 0.5
             why = (
@@ -331,7 +369,8 @@ def _carried(log: JointLog) -> JointLog:
         before = np.maximum.accumulate(np.where(known, number, -1))
         after = np.minimum.accumulate(np.where(known, number, len(q))[::-1])[::-1]
         gap = np.flatnonzero(~known & (before >= 0) & (after < len(q)))
-        last, following = before[gap], after[gap]
+        last = before[gap]
+        following = after[gap]
         still = (following - last <= rows) & (np.abs(q[following] - q[last]) <= within)
         if log.q_des is not None:
             changes = np.concatenate([[0], np.cumsum(np.diff(log.q_des[:, j]) != 0)])
@@ -446,7 +485,8 @@ def _read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     header = [name.strip() for name in rows[0]]
     if len(rows) == 1:
         raise CalibrationError(f"{path} has a header line, but no rows; a log is a row for each reading")
-    if len(header) == 1 and (other := [name for mark, name in _MARKS if mark in header[0]]):
+    other = [name for mark, name in _MARKS if mark in header[0]]
+    if other and len(header) == 1:
         raise CalibrationError(f"{path} has {other[0]} between its columns; commas are expected, and points in numbers")
     if twice := [name for name in header if header.count(name) > 1]:
         raise CalibrationError(f"{path} has two columns {twice[0]}")
@@ -509,7 +549,8 @@ def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         column = table.column(name)
         if pa.types.is_dictionary(column.type):
             column = column.cast(column.type.value_type)
-        kind, types = column.type, pa.types
+        kind = column.type
+        types = pa.types
         if str(kind) in ("string", "large_string", "string_view"):
             columns |= _numeric({name: column.to_pylist()}, path)
             continue

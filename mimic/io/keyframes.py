@@ -30,8 +30,10 @@ MOST_FRAMES = 100
 """Maximum number of key frames of a motion."""
 LARGEST = 1_000_000
 """Maximum size of a file or an answer [characters]."""
-DEEPEST, MOST_ITEMS = 10, 20_000
-"""Maximum nesting and number of items of a file."""
+DEEPEST = 10
+"""Deepest nesting of a file."""
+MOST_ITEMS = 20_000
+"""Most items of a file."""
 FIELDS = {"duration": 0, "velocity": 2, "heading_deg": 0, "left_deg": 3, "right_deg": 3}
 """Required fields of a key frame, with the length of each list; 0 is a single number."""
 

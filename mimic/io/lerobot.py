@@ -114,7 +114,10 @@ def write_dataset(
                 progress(number + 1, len(episodes))
         _save(part / "meta/episodes/chunk-000/file-000.parquet", pa.Table.from_pylist(rows))
         _save_tasks(part / "meta/tasks.parquet", tasks)
-        save_json({name: _together([own[name] for own in stats]) for name in stats[0]}, part / "meta/stats.json")
+        together = {}
+        for name in stats[0]:
+            together[name] = _together([own[name] for own in stats])
+        save_json(together, part / "meta/stats.json")
         save_json(_info(names, fps, robot, picture, len(rows), start, len(tasks)), part / "meta/info.json")
         part.rename(folder)
     finally:

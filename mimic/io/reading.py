@@ -58,7 +58,8 @@ def check_clock(
     if len(t) < 2:
         return
     steps = np.diff(t)
-    equal, grain = int(np.sum(steps == 0)), float(np.spacing(np.float32(np.abs(t).max())))
+    equal = int(np.sum(steps == 0))
+    grain = float(np.spacing(np.float32(np.abs(t).max())))
     coarse = grain > STEPS[0] and np.array_equal(t, t.astype(np.float32)) and grain * len(steps) > 0.25 * np.ptp(t)
     if coarse or 2 * equal > len(steps):
         raise error(
@@ -73,7 +74,8 @@ def check_clock(
             f"the times of {name} do not increase: row {row + 2} has {t[row + 1]:.10g} s after {t[row]:.10g} s; "
             "sort the rows and drop repeated ones"
         )
-    usual, largest = float(np.median(steps[steps > 0])), int(steps.argmax())
+    usual = float(np.median(steps[steps > 0]))
+    largest = int(steps.argmax())
     if not apart[0] <= usual <= apart[1]:
         units = [unit for unit, scale in _SCALES.items() if apart[0] <= scale * usual <= apart[1]]
         rate = f"a rate of {usual:g} Hz where a period is expected" if 5.0 <= usual <= 20_000.0 else ""

@@ -102,8 +102,7 @@ def _columns(record: Record) -> Iterator[tuple[str, np.ndarray]]:
             continue
         value = getattr(record, f.name)
         labels = [
-            record.labels(axis) or tuple(str(i) for i in range(n))
-            for axis, n in zip(axes, value.shape[1:], strict=True)
+            record.labels(axis) or tuple(map(str, range(n))) for axis, n in zip(axes, value.shape[1:], strict=True)
         ]
         for index in itertools.product(*(range(len(names)) for names in labels)):
             name = ".".join([f.name, *(names[i] for names, i in zip(labels, index, strict=True))])

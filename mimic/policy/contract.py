@@ -61,9 +61,12 @@ ARM_TERMS = (("arm_reference", 12 * len(AHEAD)), ("arms_known", 1))
 SLOW_SECONDS = 3.0
 """Time constant of `slow_mean` [s]."""
 
-GYRO_SCALE, GYRO_CLIP = 0.25, 5.0
-DQ_SCALE, DQ_CLIP = 0.05, 2.0
-"""Units a rad/s, and the largest value, of `gyro` and `joint_velocity`."""
+GYRO_SCALE = 0.25
+GYRO_CLIP = 5.0
+DQ_SCALE = 0.05
+"""Units a rad/s of `gyro` and `joint_velocity`."""
+DQ_CLIP = 2.0
+"""Largest value of them."""
 
 FORMULAS = {
     "joint_position": "q - default_q [rad], joints in the order of `joints`",
@@ -274,7 +277,8 @@ class PolicyContract:
         if self.arms not in (NETWORK, INVERSE_KINEMATICS):
             raise ContractError(f"the policy's arms is {self.arms!r}; expected {NETWORK} or {INVERSE_KINEMATICS}")
         self._check_numbers(description)
-        low, high = np.array(self.q_min), np.array(self.q_max)
+        low = np.array(self.q_min)
+        high = np.array(self.q_max)
         if np.any(low < description.q_min - 1e-9) or np.any(high > description.q_max + 1e-9):
             raise ContractError("the policy may command joint positions outside this robot's limits; expected inside")
 
@@ -330,7 +334,8 @@ def commanded_joints(action: Any, default_q: Any, scale: Any, q_min: Any, q_max:
 def joint_command(contract: PolicyContract, action: FloatArray) -> FloatArray:
     """Return the commanded joint positions (12,) [rad] for an action (12,)."""
     clipped = np.clip(action, -contract.action_clip, contract.action_clip)
-    scale, default_q = np.array(contract.action_scale), np.array(contract.default_q)
+    scale = np.array(contract.action_scale)
+    default_q = np.array(contract.default_q)
     return commanded_joints(clipped, default_q, scale, np.array(contract.q_min), np.array(contract.q_max), np)
 
 

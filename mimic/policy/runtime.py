@@ -41,18 +41,21 @@ class Policy:
         metadata = self._session.get_modelmeta().custom_metadata_map
         if METADATA_KEY not in metadata:
             raise ContractError(f"{path} declares no contract; export it with mimic train")
-        self.path, self.description = path, description
+        self.path = path
+        self.description = description
         try:
             self.contract = PolicyContract.from_json(metadata[METADATA_KEY])
             self.contract.check(description)
         except ContractError as reason:
             raise ContractError(f"{path}: {reason}") from None
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+        inputs = self._session.get_inputs()
+        outputs = self._session.get_outputs()
         widths = (inputs[0].shape[-1], outputs[0].shape[-1])
         expected = (self.contract.observation_size, len(self.contract.joints))
         if widths != expected:
             raise ContractError(f"{path} maps {widths[0]} numbers to {widths[1]}; its contract says {expected}")
-        self._input, self._output = inputs[0].name, outputs[0].name
+        self._input = inputs[0].name
+        self._output = outputs[0].name
 
     def act(self, observation: FloatArray) -> FloatArray:
         """Return the action (12,) for an observation (observation_size,)."""

@@ -41,7 +41,8 @@ def corrected(commands: CommandTrack, policy: Path) -> CommandTrack:
     edges = np.flatnonzero(np.diff(v[:, 0], prepend=np.nan, append=np.nan))
     before = 0.0
     for start, end in pairwise(edges):
-        wanted, seconds = v[start, 0], dt * (end - start)
+        wanted = v[start, 0]
+        seconds = dt * (end - start)
         loses = float(np.interp(wanted, walked, lost))
         if before * wanted < 0.0:
             loses = float(table.get("reversed", (loses, loses))[int(wanted > 0.0)])

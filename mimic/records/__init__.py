@@ -21,6 +21,7 @@ from mimic.records.base import (
     Provenance,
     Record,
     array,
+    landmarks_of,
 )
 from mimic.records.motion import Command, CommandTrack, LiveCommands, LiveTrack, PoseTrack, TargetTrack, WristTrack
 from mimic.records.run import DOUBLED, PHASES, Health, HealthLog, JointCommand, JointSamples, RobotState, RunLog, Tick
@@ -58,4 +59,5 @@ __all__ = [
     "Tick",
     "WristTrack",
     "array",
+    "landmarks_of",
 ]

@@ -61,10 +61,19 @@ LANDMARKS = (
     "right_foot_index",
 )
 """The 33 landmarks of BlazePose, in its order. Left and right are the person's."""
-SHOULDERS, ELBOWS, WRISTS, HIPS, KNEES = (
-    [LANDMARKS.index(f"{side}_{part}") for side in SIDES] for part in ("shoulder", "elbow", "wrist", "hip", "knee")
-)
+
+
+def landmarks_of(*parts: str) -> list[int]:
+    """Return where the left and the right one of each of these parts of the body are in LANDMARKS."""
+    return [LANDMARKS.index(f"{side}_{part}") for part in parts for side in SIDES]
+
+
+SHOULDERS = landmarks_of("shoulder")
 """Left and right in LANDMARKS."""
+ELBOWS = landmarks_of("elbow")
+WRISTS = landmarks_of("wrist")
+HIPS = landmarks_of("hip")
+KNEES = landmarks_of("knee")
 
 AXES: Mapping[str, tuple[str, ...]] = {
     "xyz": ("x", "y", "z"),

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-LINES, WIDTH = 10, 100
-"""Size of the table at most [lines, characters]."""
+LINES = 10
+"""Most lines of the table."""
+WIDTH = 100
+"""Most characters of a line."""
 
 
 class ShownAsTable:

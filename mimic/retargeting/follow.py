@@ -54,7 +54,8 @@ class Follower:
         place = np.array([away * (flat[:, 0].mean() - 0.5) / FOCAL, away])
         dt = t - self._t
         if not 0.0 < dt < FORGET:
-            self._slow, self._v = place, np.zeros(2)
+            self._slow = place
+            self._v = np.zeros(2)
         else:
             share = dt / (dt + 1.0 / (2.0 * np.pi * WALK_HZ))
             before = self._slow

@@ -56,7 +56,9 @@ class LiveRetarget:
     """Turns landmarks of one person into targets, frame by frame and causally."""
 
     def __init__(self, reach: Reach, settings: RetargetSettings, live: LiveSettings) -> None:
-        self._reach, self._settings, self._live = reach, settings, live
+        self._reach = reach
+        self._settings = settings
+        self._live = live
         self._filters = [OneEuro(live.min_cutoff, live.beta) for _ in SIDES]
         self._arms = np.zeros((2, 3))
         self._last_seen = np.full(2, -np.inf)
@@ -163,15 +165,21 @@ class LiveTargets:
             clock: The clock of `LiveTarget.t`.
             begin: Called when the first command is asked for.
         """
-        self._reach, self._hold, self._clock, self._begin = reach, settings.lost_hold, clock, begin
+        self._reach = reach
+        self._hold = settings.lost_hold
+        self._clock = clock
+        self._begin = begin
         self._hanging = posture("down", reach)
-        self._q, self._dq = self._hanging.copy(), np.zeros_like(self._hanging)
+        self._q = self._hanging.copy()
+        self._dq = np.zeros_like(self._hanging)
         self._goal = self._hanging.copy()
         self._present = np.zeros(2)
         self._seen_at = np.full(2, -np.inf)
         self._newest: LiveTarget | None = None
         self._used: LiveTarget | None = None
-        self._heading, self._begun, self._over = 0.0, False, False
+        self._heading = 0.0
+        self._begun = False
+        self._over = False
 
     def put(self, asked: LiveTarget) -> None:
         """Take what is asked now; what was asked before and not used yet is dropped."""
@@ -188,13 +196,15 @@ class LiveTargets:
             self._begin()
         if self._over:
             return None
-        now, dt = self._clock(), self._reach.description.dt
+        now = self._clock()
+        dt = self._reach.description.dt
         asked = self._newest
         if asked is not None and asked is not self._used:
             self._used = asked
             for side in np.flatnonzero(asked.seen):
                 part = slice(3 * side, 3 * side + 3)
-                self._goal[part], self._seen_at[side] = asked.q[part], asked.t
+                self._goal[part] = asked.q[part]
+                self._seen_at[side] = asked.t
         rising = now - self._seen_at <= self._hold
         self._present = np.clip(self._present + np.where(rising, dt, -dt) / EASE, 0.0, 1.0)
         share = np.repeat(ease(self._present), 3)

@@ -23,7 +23,8 @@ class OneEuro:
             min_cutoff: Cut-off at rest [Hz].
             beta: Rise of the cut-off with speed [Hz s/m].
         """
-        self._min_cutoff, self._beta = min_cutoff, beta
+        self._min_cutoff = min_cutoff
+        self._beta = beta
         self._t = float("nan")
         self._x: FloatArray | None = None
         self._speed: FloatArray = np.zeros(0)
@@ -31,7 +32,9 @@ class OneEuro:
     def __call__(self, t: float, x: FloatArray) -> FloatArray:
         """Return the filtered vector (n,) [m] at time t [s]; the first one, and one of no later time, as it is."""
         if self._x is None or not t > self._t:
-            self._t, self._x, self._speed = t, np.array(x), np.zeros_like(x)
+            self._t = t
+            self._x = np.array(x)
+            self._speed = np.zeros_like(x)
             return self._x
         dt = t - self._t
         self._speed = self._speed + _share(SPEED_HZ, dt) * ((x - self._x) / dt - self._speed)

@@ -55,8 +55,10 @@ def fill_gaps(t: FloatArray, p: FloatArray, valid: BoolArray, waiting: FloatArra
     gaps = np.flatnonzero(~valid)
     after = np.searchsorted(seen, gaps)
     before = after - 1
-    has_before, has_after = before >= 0, after < len(seen)
-    last, following = seen[np.maximum(before, 0)], seen[np.minimum(after, len(seen) - 1)]
+    has_before = before >= 0
+    has_after = after < len(seen)
+    last = seen[np.maximum(before, 0)]
+    following = seen[np.minimum(after, len(seen) - 1)]
     since = np.where(has_before, t[gaps] - t[last], np.inf)
     until = np.where(has_after, t[following] - t[gaps], np.inf)
     bridged = has_before & has_after

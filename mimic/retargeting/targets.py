@@ -74,10 +74,12 @@ def slowed_as_needed(make: Callable[[float], TargetTrack]) -> TargetTrack:
     Args:
         make: Returns the track that is slowed down by a factor.
     """
-    fast, slow = 1.0, 1.0
+    fast = 1.0
+    slow = 1.0
     found = make(slow)
     while found.report["limited_share"] > FEW_LIMITED and slow < SLOWEST:
-        fast, slow = slow, min(1.5 * slow, SLOWEST)
+        fast = slow
+        slow = min(1.5 * slow, SLOWEST)
         found = make(slow)
     while slow / fast > SLOW_STEP:
         middle = round(float(np.sqrt(fast * slow)), 2)
@@ -85,7 +87,8 @@ def slowed_as_needed(make: Callable[[float], TargetTrack]) -> TargetTrack:
         if tried.report["limited_share"] > FEW_LIMITED:
             fast = middle
         else:
-            slow, found = middle, tried
+            slow = middle
+            found = tried
     return found
 
 
@@ -107,7 +110,9 @@ def _target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings, 
     dt = reach.description.dt
     grid = np.asarray(dt * np.arange(int(t[-1] / dt + 1e-6) + 1), dtype=np.float64)
 
-    wanted, person, times = np.empty((len(grid), 2, 3)), np.empty((len(grid), 2, 3)), []
+    wanted = np.empty((len(grid), 2, 3))
+    person = np.empty((len(grid), 2, 3))
+    times = []
     for side in range(2):
         filled = fill_gaps(t, toes[:, side], seen[:, side], hanging[side])
         times.append(target_times(t, filled, settings.rate, settings.keep_peaks))
@@ -180,7 +185,8 @@ def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
     Joint positions stay within their bounds. If the legs come too close in a row, it moves to the closest point with
     clearance, and the motion is limited again. After MAX_ITERATIONS, clearance has priority over the speed limit.
     """
-    q, p_BE = closest.q, closest.p_BE.copy()
+    q = closest.q
+    p_BE = closest.p_BE.copy()
     for _ in range(MAX_ITERATIONS):
         before = q
         q = np.clip(
@@ -190,7 +196,8 @@ def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
             p_BE[row] = reach.toes(q[row])
             if not reach.is_clear(q[row]):
                 found = reach.closest(p_BE[row], q[row])
-                q[row], p_BE[row] = found.q, found.p_BE
+                q[row] = found.q
+                p_BE[row] = found.p_BE
         if np.array_equal(q, before):
             break
     return q, p_BE

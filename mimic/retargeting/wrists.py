@@ -151,11 +151,14 @@ def depth_note(axis: tuple[float, float, float], spread: FloatArray | None = Non
     """
     off_forward = np.degrees(np.arctan2(abs(axis[1]), abs(axis[0])))
     if off_forward < 30:
-        what, better = "reaching forward and back", "from the side or a three-quarter view"
+        what = "reaching forward and back"
+        better = "from the side or a three-quarter view"
     elif off_forward > 60:
-        what, better = "reaching to the left and right", "from the front or a three-quarter view"
+        what = "reaching to the left and right"
+        better = "from the front or a three-quarter view"
     else:
-        what, better = "reaching along the diagonal toward the camera", "from the side that shows the motion best"
+        what = "reaching along the diagonal toward the camera"
+        better = "from the side that shows the motion best"
     where = "behind" if axis[0] > 0.5 else "in front of" if axis[0] < -0.5 else "beside"
     camera = f"The camera is {where} the person, {off_forward:.0f}° off the forward axis."
     if spread is None or not len(spread):
@@ -192,8 +195,10 @@ def _mean_spread(spread: FloatArray) -> float | None:
 
 def _camera_from_torso(heading: FloatArray | float) -> FloatArray:
     """Return R_CT (..., 3, 3) of a torso with this heading (...,)."""
-    c, s = np.cos(heading), np.sin(heading)
-    zero, one = np.zeros_like(c), np.ones_like(c)
+    c = np.cos(heading)
+    s = np.sin(heading)
+    zero = np.zeros_like(c)
+    one = np.ones_like(c)
     turn = np.stack([np.stack(row, axis=-1) for row in ([c, -s, zero], [s, c, zero], [zero, zero, one])], axis=-2)
     return R_CT @ turn
 
@@ -249,7 +254,8 @@ def _hidden_arm_warnings(pose: PoseTrack) -> tuple[str, ...]:
             continue
         edges = np.diff(np.concatenate([[False], ~seen, [False]]).astype(int))
         ends = np.flatnonzero(edges < 0)
-        starts, stops = pose.t[edges[:-1] > 0], pose.t[np.minimum(ends, len(seen) - 1)]
+        starts = pose.t[edges[:-1] > 0]
+        stops = pose.t[np.minimum(ends, len(seen) - 1)]
         longest = sorted(np.argsort(stops - starts)[::-1][:SHOWN_GAPS])
         times = ", ".join(f"{starts[i]:.1f}–{stops[i]:.1f} s" for i in longest)
         more = f" and {len(starts) - SHOWN_GAPS} shorter times" if len(starts) > SHOWN_GAPS else ""

@@ -37,21 +37,24 @@ class ArmTorques:
             device: Of the tensors.
         """
         model = rigid_body_model(description)[0]
-        joints = [[model.getJointId(name) for name in JOINTS[LEG * i : LEG * i + LEG]] for i in range(2)]
-        inertias = [[model.inertias[j] for j in leg] for leg in joints]
-        places = [[model.jointPlacements[j].translation for j in leg] for leg in joints]
-        dofs = [model.joints[j].idx_v for leg in joints for j in leg]
+        joints = [model.getJointId(name) for name in JOINTS[: 2 * LEG]]
+        inertias = [model.inertias[j] for j in joints]
+        dofs = [model.joints[j].idx_v for j in joints]
         self._xp = xp
 
         def kept(values: Any) -> Any:
             values = np.asarray(values, dtype=np.float64)
             return values if xp is np else xp.as_tensor(values, dtype=xp.float32, device=device)
 
-        self._place = kept(places)
+        def of_legs(values: Any) -> Any:
+            values = np.asarray(values)
+            return kept(values.reshape(2, LEG, *values.shape[1:]))
+
+        self._place = of_legs([model.jointPlacements[j].translation for j in joints])
         """Joint -> next joint, (2, 3, 3) [m]."""
-        self._mass = kept([[body.mass for body in leg] for leg in inertias])
-        self._lever = kept([[body.lever for body in leg] for leg in inertias])
-        self._inertia = kept([[body.inertia for body in leg] for leg in inertias])
+        self._mass = of_legs([body.mass for body in inertias])
+        self._lever = of_legs([body.lever for body in inertias])
+        self._inertia = of_legs([body.inertia for body in inertias])
         self._armature = kept(model.armature[dofs])
         self._damping = kept(model.damping[dofs])
         self._dry = kept(model.upperDryFrictionLimit[dofs])
@@ -83,7 +86,10 @@ class ArmTorques:
         twist = xp.zeros_like(axes[0])
         move = upward + spin
         place = xp.zeros_like(axes[0])
-        places, centres, forces, moments = [], [], [], []
+        places = []
+        centres = []
+        forces = []
+        moments = []
         for k, axis in enumerate(axes):
             if k:
                 arm = _times(turns[k - 1], self._place[:, k])
@@ -108,12 +114,15 @@ class ArmTorques:
     def _turns(self, q: Any) -> list[Any]:
         """Return the axes of each link in base axes, three of (..., 2, 3, 3)."""
         xp = self._xp
-        zero, one = xp.zeros_like(q[..., 0]), xp.ones_like(q[..., 0])
-        c, s = xp.cos(q[..., 0]), xp.sin(q[..., 0])
+        zero = xp.zeros_like(q[..., 0])
+        one = xp.ones_like(q[..., 0])
+        c = xp.cos(q[..., 0])
+        s = xp.sin(q[..., 0])
         abad = _matrix([one, zero, zero, zero, c, -s, zero, s, c], xp)
         turns = [abad]
         for angle in (q[..., 1], q[..., 1] + q[..., 2]):
-            c, s = xp.cos(angle), xp.sin(angle)
+            c = xp.cos(angle)
+            s = xp.sin(angle)
             turns.append(abad @ _matrix([c, zero, s, zero, one, zero, -s, zero, c], xp))
         return turns
 

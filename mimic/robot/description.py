@@ -192,7 +192,8 @@ def _probe(probe: dict[str, Any]) -> ProbeRanges:
 
 
 def _thermal(motor: dict[str, Any]) -> ThermalNumbers:
-    thermal, overload = motor["thermal"], motor.get("overload", {"torque": (), "seconds": ()})
+    thermal = motor["thermal"]
+    overload = motor.get("overload", {"torque": (), "seconds": ()})
     return ThermalNumbers(
         winding_share=thermal["winding_share"],
         winding_time=thermal["winding_seconds"],
@@ -217,7 +218,8 @@ def _names(model: dict[str, Any]) -> ModelNames:
 
 
 def _leg(raw: dict[str, Any], path: Path) -> LegGeometry:
-    to_hip, toe = _array(raw["hip"]["origin"]), _array(raw["toe"]["position"])
+    to_hip = _array(raw["hip"]["origin"])
+    toe = _array(raw["toe"]["position"])
     if np.any(to_hip[[0, 2]] != 0.0) or toe[1] != 0.0:
         raise AssetError(f"{path}: [hip] origin must lie on the y axis and [toe] position in the plane y = 0")
     return LegGeometry(
@@ -226,7 +228,8 @@ def _leg(raw: dict[str, Any], path: Path) -> LegGeometry:
 
 
 def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
-    limits, upright = _joint_limits(raw), _array(raw["upright"]["direction"])
+    limits = _joint_limits(raw)
+    upright = _array(raw["upright"]["direction"])
     motor, physics, goals, reach, commands = (raw[k] for k in ("motor", "physics", "goals", "reach", "commands"))
     poses = {pose: _array(values["q"]) for pose, values in raw["pose"].items()}
     if any(q.shape != (len(JOINTS),) for q in poses.values()):

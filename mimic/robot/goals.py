@@ -48,7 +48,8 @@ def _excess(q: Any, description: RobotDescription, first: int, xp: Any) -> Any:
     """Return how far the worst joint of a leg's q (..., 3) is beyond its limits (...); infinite where there is no q."""
     worst = xp.zeros_like(q[..., 0])
     for k in range(3):
-        low, high = float(description.q_min[first + k]) + MARGIN, float(description.q_max[first + k]) - MARGIN
+        low = float(description.q_min[first + k]) + MARGIN
+        high = float(description.q_max[first + k]) - MARGIN
         worst = xp.maximum(worst, xp.maximum(low - q[..., k], q[..., k] - high))
     return xp.where(xp.isnan(worst), xp.full_like(worst, math.inf), worst)
 

@@ -36,8 +36,10 @@ class Leg:
 
         ``xp`` is ``numpy`` or ``torch``, whichever ``q`` is from; training and running share this formula.
         """
-        hip, bend = q[..., 1], q[..., 1] + q[..., 2]
-        toe_x, toe_z = float(self.toe[0]), float(self.toe[2])
+        hip = q[..., 1]
+        bend = q[..., 1] + q[..., 2]
+        toe_x = float(self.toe[0])
+        toe_z = float(self.toe[2])
         x = -self.thigh * xp.sin(hip) + toe_x * xp.cos(bend) + toe_z * xp.sin(bend)
         z = -self.thigh * xp.cos(hip) - toe_x * xp.sin(bend) + toe_z * xp.cos(bend)
         return self._out_of_plane(q[..., 0], x, z, xp)
@@ -66,9 +68,13 @@ class Leg:
             straight leg; NaN where the leg is too short or too long. Limits are not looked at.
         """
         ox, oy, oz = (float(v) for v in self.origin)
-        x, y, z = p_BE[..., 0] - ox, p_BE[..., 1] - oy, p_BE[..., 2] - oz
-        toe_x, toe_z = float(self.toe[0]), float(self.toe[2])
-        shank, lean = math.hypot(toe_x, toe_z), math.atan2(-toe_x, -toe_z)
+        x = p_BE[..., 0] - ox
+        y = p_BE[..., 1] - oy
+        z = p_BE[..., 2] - oz
+        toe_x = float(self.toe[0])
+        toe_z = float(self.toe[2])
+        shank = math.hypot(toe_x, toe_z)
+        lean = math.atan2(-toe_x, -toe_z)
         with np.errstate(invalid="ignore"):
             square = y * y + z * z - self.offset**2
             depth = xp.sqrt(xp.where(abs(square) < ROUNDING, xp.zeros_like(square), square))
@@ -93,7 +99,8 @@ def _wrapped(angle: Any) -> Any:
 @cache
 def all_legs(description: RobotDescription) -> tuple[Leg, ...]:
     """Return the four legs, in the order of LEGS."""
-    own, middle = description.leg, (description.q_min + description.q_max) / 2
+    own = description.leg
+    middle = (description.q_min + description.q_max) / 2
     x, y, z = own.origin
     return tuple(
         Leg(

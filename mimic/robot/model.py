@@ -18,11 +18,14 @@ from mimic.errors import AssetError
 from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import all_toes
+from mimic.robot.parts import ModelNames
 
 log = logging.getLogger(__name__)
 
-BASE, FLOOR = "base", "floor"
-"""Names of the body that carries the legs, and of the ground."""
+BASE = "base"
+"""Name of the body that carries the legs."""
+FLOOR = "floor"
+"""Name of the ground."""
 
 TOES = tuple(f"{leg}_toe" for leg in LEGS)
 """Site at the centre of each toe, in the order of LEGS."""
@@ -59,10 +62,7 @@ def read_model(description: RobotDescription, *, floor: bool = False, checked: b
         leave_out(spec, path)
         _order_legs(spec, description)
     name_shapes(spec)
-    shapes = {geom.name for geom in spec.geoms}
-    missing = [shape for role in names.patterns for shape in names.shapes(role) if shape not in shapes]
-    if missing:
-        raise AssetError(f"{path} has no shape {missing[0]!r}; it has {', '.join(sorted(shapes - {''}))}")
+    _check_shapes(spec, names, path)
     base = _found(spec.body(names.base), "body", names.base, path)
     _rename_body(spec, base, BASE)
     if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in base.joints):
@@ -79,11 +79,28 @@ def read_model(description: RobotDescription, *, floor: bool = False, checked: b
     if not spec.actuators:
         _add_motors(spec, description)
     if floor:
-        contacts_off = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        spec.option.disableflags &= ~contacts_off  # models of suspended robots lack contacts
-    if floor and description.scene is None:
-        spec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], priority=1)
+        _put_on_floor(spec, add=description.scene is None)
     return spec
+
+
+def _check_shapes(spec: Any, names: ModelNames, path: Path) -> None:
+    """Refuse a model without a collision shape that the description names.
+
+    Raises:
+        AssetError: With the shapes that it has.
+    """
+    shapes = {geom.name for geom in spec.geoms}
+    named = [shape for role in names.patterns for shape in names.shapes(role)]
+    missing = [shape for shape in named if shape not in shapes]
+    if missing:
+        raise AssetError(f"{path} has no shape {missing[0]!r}; it has {', '.join(sorted(shapes - {''}))}")
+
+
+def _put_on_floor(spec: Any, *, add: bool) -> None:
+    contacts_off = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.option.disableflags &= ~contacts_off  # models of suspended robots lack contacts
+    if add:
+        spec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], priority=1)
 
 
 def _parsed(path: Path) -> Any:
@@ -126,7 +143,8 @@ def make_room(spec: Any) -> None:
         reflected = actuator.gear[0] ** 2
         joint.armature += reflected * actuator.armature
         joint.damping = joint.damping + reflected * actuator.damping
-        actuator.armature, actuator.damping = 0.0, [0.0, 0.0, 0.0]
+        actuator.armature = 0.0
+        actuator.damping = [0.0, 0.0, 0.0]
 
 
 def is_visual(geom: Any) -> bool:
@@ -218,9 +236,10 @@ def _tell(path: Path, parts: str) -> None:
         log.info("%s: left out %s", path, parts)
 
 
-APART, BEYOND = 1e-3, 1e-3
-"""How far a toe of the MJCF may be from where the numbers of the description put it [m], and how far their limits may
-go beyond the MJCF's [rad]: rounding, no more."""
+APART = 1e-3
+"""How far a toe of the MJCF may be from where the numbers of the description put it [m]: rounding, no more."""
+BEYOND = 1e-3
+"""How far the description's limits may go beyond the MJCF's [rad]: rounding, no more."""
 
 
 @cache
@@ -270,11 +289,13 @@ def _rename_body(spec: Any, body: Any, name: str) -> None:
 
 
 def _name_leg(spec: Any, description: RobotDescription, leg: str) -> None:
-    names, path = description.names, description.mjcf
+    names = description.names
+    path = description.mjcf
     at = LEGS.index(leg)
     roles = JOINTS[3 * at : 3 * at + 3]
     joints = [spec.joint(names.of_leg(name, leg)) for name in names.joints]
-    links = [_found(spec.body(own := names.of_leg(name, leg)), "body", own, path) for name in names.links]
+    bodies = [names.of_leg(name, leg) for name in names.links]
+    links = [_found(spec.body(name), "body", name, path) for name in bodies]
     for role, joint, link, axis in zip(roles, joints, links, _AXES, strict=True):
         if not np.allclose(joint.axis, axis) or np.any(joint.pos):
             raise AssetError(f"{path}: joint {joint.name!r} must turn about {axis} at the origin of its link")

@@ -75,7 +75,9 @@ def project(
         tolerance: A step that promises less than this ends the search [m^2].
     """
     q = np.clip(q, low, high)
-    here, trust, eye = look(q), 0.5, np.eye(len(q))
+    here = look(q)
+    trust = 0.5
+    eye = np.eye(len(q))
     penalty = PENALTY * (1.0 + float(np.linalg.norm(wanted - here.p)))
     for _ in range(steps):
         miss = wanted - here.p
@@ -83,7 +85,8 @@ def project(
         h = here.jacobian.T @ here.jacobian - here.curvature(miss)
         values, axes = np.linalg.eigh(h)
         h = (axes * np.maximum(np.abs(values), SMALL_CURVATURE)) @ axes.T
-        down, up = np.maximum(low - q, -trust), np.minimum(high - q, trust)
+        down = np.maximum(low - q, -trust)
+        up = np.minimum(high - q, trust)
         rows = np.vstack([eye, -eye, here.gap_jacobian])
         most = np.where(here.gap_jacobian > 0.0, up, down)
         possible = np.sum(here.gap_jacobian * most, axis=1)
@@ -94,7 +97,9 @@ def project(
         there = look(new)
         gain = _merit(wanted, here, penalty) - _merit(wanted, there, penalty)
         if gain >= 0.0:
-            q, here, trust = new, there, min(2.0 * trust, 0.5)
+            q = new
+            here = there
+            trust = min(2.0 * trust, 0.5)
             if gain < tolerance * 1e-3:
                 break
         else:

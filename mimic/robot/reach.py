@@ -25,8 +25,10 @@ FRONT = 6
 """Joints of the front legs: the first six."""
 GRID = (9, 24, 12)
 """Postures of a leg among which a search without a start chooses its own: abad, hip, knee."""
-FAR, BETTER = 0.05, 0.02
-"""A search that ends farther than this looks elsewhere too, and goes there where that is so much nearer [m]."""
+FAR = 0.05
+"""A search that ends farther than this looks elsewhere too [m]."""
+BETTER = 0.02
+"""… and goes there where that is so much nearer [m]."""
 ROUNDING = 1e-6
 """Gaps that are short by no more than this are open [m]."""
 NEAR = 0.05
@@ -120,11 +122,16 @@ class Reach:
 
     def closest_track(self, p_wanted: FloatArray, q_start: FloatArray | None = None) -> Closest:
         """Return `closest` for rows in time (T, 2, 3), each started from the row before."""
-        p_wanted, rows = np.asarray(p_wanted, dtype=np.float64), []
+        p_wanted = np.asarray(p_wanted, dtype=np.float64)
+        rows = []
         for p, postures in zip(p_wanted, self._postures(p_wanted), strict=True):
             rows.append(self._closest(p, postures, q_start))
             q_start = rows[-1].q
-        return Closest(*(np.stack([getattr(row, name) for row in rows]) for name in ("q", "p_BE", "moved")))
+        return Closest(
+            q=np.stack([row.q for row in rows]),
+            p_BE=np.stack([row.p_BE for row in rows]),
+            moved=np.stack([row.moved for row in rows]),
+        )
 
     @cached_property
     def acceleration_max(self) -> FloatArray:
@@ -159,7 +166,8 @@ class Reach:
         left, right = (shapes("shank", "toe", legs=(leg,)) for leg in ("FL", "FR"))
         pairs += product(left, (*right, *shapes("thigh", legs=("FR",))))
         pairs += product(shapes("thigh", legs=("FL",)), right)
-        ids = [tuple(self._geometry.getGeometryId(name) for name in pair) for pair in pairs]
+        shape = self._geometry.getGeometryId
+        ids = [(shape(one), shape(other)) for one, other in pairs]
         for one, other in ids:
             self._geometry.addCollisionPair(pin.CollisionPair(one, other))
         objects = self._geometry.geometryObjects
@@ -189,11 +197,13 @@ class Reach:
 
     def _coarse(self, p_wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the front joints (6,) of a coarse grid that come nearest to (2, 3), and how near (2,) [m]."""
-        q, distance = np.empty(FRONT), np.empty(2)
+        q = np.empty(FRONT)
+        distance = np.empty(2)
         for index, (postures, p_BE) in enumerate(self._grid):
             away = np.linalg.norm(p_BE - p_wanted[index], axis=1)
             best = np.argmin(away)
-            q[3 * index : 3 * index + 3], distance[index] = postures[best], away[best]
+            q[3 * index : 3 * index + 3] = postures[best]
+            distance[index] = away[best]
         return q, distance
 
     @cached_property
@@ -212,7 +222,8 @@ class Reach:
         if np.any(here.gap < -ROUNDING):  # stuck where shapes overlap: begin where none do
             q, here = project(self._look, p_wanted.ravel(), self._clear, self.q_min, self.q_max)
         if np.any(here.gap < -ROUNDING):
-            q, here = self._clear, self._look(self._clear)
+            q = self._clear
+            here = self._look(self._clear)
         p = here.p.reshape(2, 3).copy()
         return Closest(q, p, np.linalg.norm(p - p_wanted, axis=-1))
 
@@ -227,7 +238,8 @@ class Reach:
         p = np.array([self._data.oMf[frame].translation for frame in self._frames[:2]])
         columns = _cross(axes, np.repeat(p, 3, axis=0) - origins)
         jacobian = np.zeros((6, FRONT))
-        jacobian[:3, :3], jacobian[3:, 3:] = columns[:3].T, columns[3:].T
+        jacobian[:3, :3] = columns[:3].T
+        jacobian[3:, 3:] = columns[3:].T
 
         def curvature(weights: FloatArray) -> FloatArray:
             total = np.zeros((FRONT, FRONT))
@@ -237,7 +249,8 @@ class Reach:
                 total[leg, leg] = upper + np.triu(upper, 1).T
             return total
 
-        gaps, rows = [], []
+        gaps = []
+        rows = []
         for result, joints in zip(self._space.distanceResults, self._pairs, strict=True):
             if result.min_distance > NEAR:
                 continue

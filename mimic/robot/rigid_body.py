@@ -27,7 +27,8 @@ def rigid_body_model(description: RobotDescription) -> tuple[pin.Model, pin.Geom
         AssetError: If a shape is neither a box, a ball, a capsule nor a cylinder.
     """
     compiled = read_model(description).compile()
-    model, at = pin.Model(), {}
+    model = pin.Model()
+    at = {}
     at[compiled.body(BASE).id] = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), BASE)
     for leg in range(len(LEGS)):
         parent = at[compiled.body(BASE).id]
@@ -66,7 +67,8 @@ def _shapes(compiled: mujoco.MjModel, at: dict[int, int], description: RobotDesc
 
 
 def _shape(geom: Any, name: str) -> Any:
-    kind, (x, y, z) = int(geom.type[0]), (float(v) for v in geom.size)
+    kind = int(geom.type[0])
+    (x, y, z) = (float(v) for v in geom.size)
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return coal.Box(2 * x, 2 * y, 2 * z)
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:

@@ -36,7 +36,8 @@ class Disturber:
             model: Of the robot on its floor.
             seed: Of the directions and the noise; independent of the robot's variation for the same seed.
         """
-        self._disturbance, self._model = disturbance, model
+        self._disturbance = disturbance
+        self._model = model
         self._rng = rng = np.random.default_rng([seed, 7])
         slope, drag = rng.uniform(-np.pi, np.pi, 2)
         mount = rng.normal(size=3)
@@ -60,7 +61,8 @@ class Disturber:
         if self._disturbance.slope:
             position = np.zeros(3)
             mujoco.mju_rotVecQuat(position, qpos[:3].copy(), self.slope_quat)
-            qpos[:3], qpos[3:7] = position, _multiply(self.slope_quat, qpos[3:7].copy())
+            qpos[:3] = position
+            qpos[3:7] = _multiply(self.slope_quat, qpos[3:7].copy())
 
     def ground_height(self, p_W: FloatArray) -> FloatArray:
         """Return the height of the ground (...,) [m] under positions (..., 3)."""
@@ -77,14 +79,16 @@ class Disturber:
         if not self._disturbance.drag:
             return
         data.qfrc_applied[:] = 0.0
-        d, since = self._disturbance, data.time - self._disturbance.drag_from
+        d = self._disturbance
+        since = data.time - self._disturbance.drag_from
         if 0.0 <= since < d.drag_seconds:
             if d.drag_way != "any" and not self._begun:
                 way = float(heading_from_quat(data.qpos[3:7])) + self._turn
                 self._force = d.drag * np.array([np.cos(way), np.sin(way), 0.0])
             self._begun = True
             force = self._force * (min(since / d.drag_ramp, 1.0) if d.drag_ramp else 1.0)
-            point, none = data.site_xpos[self._site], np.zeros(3)
+            point = data.site_xpos[self._site]
+            none = np.zeros(3)
             mujoco.mj_applyFT(self._model, data, force, none, point, self._body, data.qfrc_applied)
 
     def push_angle(self, angle: float, heading: float) -> float:
@@ -96,10 +100,14 @@ class Disturber:
 
     def sensed(self, state: RobotState) -> RobotState:
         """Return the state as the robot's sensors show it."""
-        d, quat, q = self._disturbance, state.quat_WB, state.q
-        omega, dq = state.omega_B, state.dq
+        d = self._disturbance
+        quat = state.quat_WB
+        q = state.q
+        omega = state.omega_B
+        dq = state.dq
         if d.imu_tilt:
-            quat, turned = _multiply(quat, self._mount), np.zeros(3)
+            quat = _multiply(quat, self._mount)
+            turned = np.zeros(3)
             mujoco.mju_rotVecQuat(turned, omega, self._mount * [1, -1, -1, -1])
             omega = turned
         if d.noise_imu:

@@ -42,7 +42,8 @@ class LawMotors:
             ConfigError: If an effect names an unknown joint, or is one of the stand of a hung robot.
         """
         refuse_stand(effects)
-        self._d, self._machine = description, hung_robot(description)
+        self._d = description
+        self._machine = hung_robot(description)
         self._p = parameters_of(effects, self._machine)
         none = np.zeros((1, 1))
         self._spread = float(self._p.pop(("delay_jitter", "spread"), none)[0, 0]) / description.timestep
@@ -57,7 +58,8 @@ class LawMotors:
         model.dof_solref[6:] = [SOLREF_STEPS * h, 1.0]
         parameters = {("coulomb", "level"): self._machine.drives.friction * variation.dry_friction[None]} | self._p
         self._law = Law(self._machine.drives, parameters, h, (1, 12), np)
-        self._kp, self._kd = variation.kp, variation.kd
+        self._kp = variation.kp
+        self._kd = variation.kd
         self._applied = np.zeros((1, 12))
         self._servo = Servo(
             ctrl=data.ctrl[None],
@@ -78,7 +80,8 @@ class LawMotors:
         self.tau = np.zeros(12)
         kept = max(math.ceil((self._shift.max() + self._spread) / self._d.decimation), 1) + 2  # one to move from
         self._moving = False
-        self._targets, self._shifts = [self.reading(q)] * kept, [self._shift] * kept
+        self._targets = [self.reading(q)] * kept
+        self._shifts = [self._shift] * kept
 
     def command_dropped(self) -> bool:
         """Return whether the command of this control step is dropped."""
@@ -94,7 +97,8 @@ class LawMotors:
 
     def drive(self, substep: int, data: mujoco.MjData) -> FloatArray:
         """Set the motors for the next physics step; return the torque on the joints beyond theirs (12,) [N m]."""
-        decimation, targets = self._d.decimation, self._targets
+        decimation = self._d.decimation
+        targets = self._targets
         shares = shares_in_effect(substep, decimation, self._shifts, np)
         if self._moving:
             targets = moving_targets(substep, decimation, self._shifts, targets, np)

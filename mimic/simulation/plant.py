@@ -103,7 +103,8 @@ class SimulatedPlant:
         self._disturbance = disturbance
         self._motors = None if effects is None else LawMotors(self._description, effects)
         kind = {"visuals": False, "payloads": payloads(disturbance), "driven": effects is not None}
-        self._nominal, self.model = load_model(description, **kind), load_model(description, **kind)
+        self._nominal = load_model(description, **kind)
+        self.model = load_model(description, **kind)
         if solver is not None:
             option = self.model.opt
             option.timestep = solver.timestep
@@ -113,7 +114,8 @@ class SimulatedPlant:
         self.data = mujoco.MjData(self.model)
         self._samples = samples
         self._observer = observer
-        self._ranges, self._begin = ranges, begin
+        self._ranges = ranges
+        self._begin = begin
         self.restart(seed)
 
     @property
@@ -127,7 +129,8 @@ class SimulatedPlant:
 
     def restart(self, seed: int) -> None:
         """Draw another robot from the same ranges."""
-        self._rng, self._phases = np.random.default_rng(seed), np.random.default_rng([seed, 29])
+        self._rng = np.random.default_rng(seed)
+        self._phases = np.random.default_rng([seed, 29])
         self.variation: Variation = draw_variation(self._ranges, self._description.timestep, self._rng)
         vary_model(self.model, self._nominal, self.variation)
         self._base_gains = self.model.actuator_gainprm[:, [GAIN_KP, GAIN_KD]].copy()
@@ -138,7 +141,8 @@ class SimulatedPlant:
 
     def start(self) -> RobotState:
         """Let the robot sink from its folded legs onto the ground, as without power, and return its state."""
-        d, v = self._description, self.variation
+        d = self._description
+        v = self.variation
         qpos = np.zeros(19)
         qpos[2] = d.pose_height["lie"] + 0.005 + v.start_height
         qpos[3:7] = np.cos(v.heading / 2), 0.0, 0.0, np.sin(v.heading / 2)
@@ -159,7 +163,9 @@ class SimulatedPlant:
         """
         data = self.data
         mujoco.mj_resetData(self.model, data)
-        data.qpos[:], data.qvel[:], data.time = qpos, qvel, t
+        data.qpos[:] = qpos
+        data.qvel[:] = qvel
+        data.time = t
         if self._motors is None:
             data.ctrl[:] = qpos[7:]
         mujoco.mj_forward(self.model, data)
@@ -196,7 +202,8 @@ class SimulatedPlant:
 
     def _drive(self, substep: int) -> None:
         """Set motors and pull for the next physics step."""
-        data, decimation = self.data, self._description.decimation
+        data = self.data
+        decimation = self._description.decimation
         if self._motors is not None:
             applied = self._motors.drive(substep, data)
             data.qfrc_applied[:] = 0.0
@@ -219,14 +226,16 @@ class SimulatedPlant:
 
     def _set_gains(self, command: JointCommand) -> None:
         if not (np.array_equal(command.kp, self._gains_kp) and np.array_equal(command.kd, self._gains_kd)):
-            self._gains_kp, self._gains_kd = command.kp, command.kd
+            self._gains_kp = command.kp
+            self._gains_kd = command.kd
             gains = self.model.actuator_gainprm
             gains[:, GAIN_KP] = self._base_gains[:, 0] * command.kp / self._description.kp
             gains[:, GAIN_KD] = self._base_gains[:, 1] * command.kd / self._description.kd
 
     def _push(self) -> None:
         if self._ranges.push[1] > 0 and self.data.time >= self._next_push:
-            angle, speed = self._rng.uniform(-np.pi, np.pi), self._rng.uniform(*self._ranges.push)
+            angle = self._rng.uniform(-np.pi, np.pi)
+            speed = self._rng.uniform(*self._ranges.push)
             angle = self.disturber.push_angle(angle, float(heading_from_quat(self.data.qpos[3:7])))
             self.data.qvel[:2] += speed * np.cos(angle), speed * np.sin(angle)
             self._next_push += self._ranges.push_interval + self._phases.uniform(0.0, PUSH_PHASE)
@@ -255,7 +264,9 @@ class SimulatedPlant:
         else:
             self._motors.send(command)
         self._push()
-        model, data, decimation = self.model, self.data, self._description.decimation
+        model = self.model
+        data = self.data
+        decimation = self._description.decimation
         self._commands = [command.q_des, *self._commands[:-1]]
         rows: list[tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]] = []
         for k in range(decimation):

@@ -233,7 +233,7 @@ BAD = [
     ("targets.parquet --sim --effects nowhere.toml", nothing, "nowhere.toml cannot be read"),
     ("targets.parquet --sim --effects text.toml", text_file("text.toml"), "text.toml is not"),
     ("text.mp4 --sim --effects elbow.toml", elbows, "effect 'stribeck' names joint 'FL_elbow'"),
-    ("evaluate text.onnx table --effects nowhere.toml", text_file("text.onnx"), "nowhere.toml cannot be read"),
+    ("evaluate --effects nowhere.toml", nothing, "nowhere.toml cannot be read"),
     ("--sim", nothing, "say what to play: a file, --text with a sentence, or --camera 0"),
     ("targets.parquet --text wave --sim", nothing, "are different inputs; give one of them"),
     ("--text wave", nothing, "add --sim"),
@@ -327,11 +327,13 @@ def test_brackets_in_a_name_are_printed_as_they_are(here, capsys):
 # ---------------------------------------------------------------------- exit statuses
 
 
+@pytest.mark.slow
 def test_targets_that_someone_else_made_can_be_played(here, targets, capsys):
     assert main([str(targets), "--sim", "--no-view", "-o", "out", *SHORT]) == 0
     assert "0.5 s in all" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_stored_commands_are_played_with_their_velocity(here):
     commands(here)
     assert main(["commands.parquet", "--sim", "--no-view", "-o", "out", *SHORT]) == 0
@@ -358,6 +360,7 @@ def test_motion_from_elsewhere_becomes_a_run_like_a_video(here):
     assert np.array_equal(one.p_BE, other.p_BE)
 
 
+@pytest.mark.slow
 def test_a_sentence_becomes_a_run_whose_key_frames_can_be_played_again(here, capsys):
     assert main(["--text", "step forward, then stop and wave the left hand", "--sim", "--no-view", *SHORT]) == 0
     shown = capsys.readouterr().out
@@ -418,33 +421,6 @@ def test_an_evaluation_is_written_with_the_hash_of_its_policy(here, constant_onn
     assert shown["provenance"]["inputs"]["policy"] == store.sha256_of(policy)
     assert shown["provenance"]["settings"]["episodes"] == 1
     assert "useless.onnx" in capsys.readouterr().out
-
-
-def test_an_unknown_kind_of_evaluation_is_refused_with_those_that_exist(here, capsys):
-    assert main(["evaluate", "stand_track", "dance"]) == 2
-    shown = " ".join(capsys.readouterr().err.split())
-    assert "dance" in shown
-    assert "robustness" in shown
-
-
-@pytest.mark.parametrize("kind", ["table", "robustness", "stand-up"])
-def test_each_kind_of_evaluation_refuses_a_missing_policy(kind, here, capsys):
-    assert main(["evaluate", "nowhere.onnx", kind]) == 2
-    assert capsys.readouterr().err.startswith("mimic: there is no policy nowhere.onnx")
-    assert contents(here) == {}
-
-
-def test_the_table_is_printed_beside_the_paper_s_and_written(here, capsys, constant_onnx, monkeypatch):
-    monkeypatch.setattr("mimic.evaluation.walking.SPEEDS", (0.3,))
-    monkeypatch.setattr("mimic.evaluation.walking.TURNS", (0.5,))
-    policy = constant_onnx(here / "still.onnx")
-    assert main(["evaluate", str(policy), "table", "--episodes", "1", "--seconds", "2", "--workers", "1"]) == 0
-    shown = capsys.readouterr().out
-    for word in ("paper", "contacts", "826.7", "toe error", "noise", "statue", "arms moving", "Turning rate"):
-        assert word in shown, word
-    written = json.loads((here / "table-still.json").read_text())
-    assert written["provenance"]["settings"]["episodes"] == 1
-    assert set(written["paper"]) == set(written["table"]["the paper's noise"]["contacts"]["columns"])
 
 
 def test_ctrl_c_while_the_program_is_still_loading_is_one_line(monkeypatch, capsys):

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from mimic.cli import main
 from mimic.flows import doctor
 
@@ -39,6 +41,7 @@ def test_a_can_interface_that_is_down_is_told_from_one_that_is_up(monkeypatch, t
     assert next(f for f in doctor.examine() if f.name == "CAN adapter").ok
 
 
+@pytest.mark.slow
 def test_an_opencv_without_libgl_is_one_line_and_words_are_played_without_it(tmp_path):
     (tmp_path / "cv2.py").write_text("raise ImportError('libGL.so.1: cannot open shared object file')\n")
     clip = Path(__file__).parents[2] / "examples" / "videos" / "waving.mp4"

@@ -268,6 +268,7 @@ def test_ctrl_c_damps_and_keeps_what_was_measured(description):
     assert {motor.mode for motor in robot.motors} == {MotorMode.OFF}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault",
     [
@@ -295,6 +296,7 @@ def test_a_bus_that_fails_keeps_what_was_measured(description):
     assert len(result.log.t) > 10
 
 
+@pytest.mark.slow
 def test_what_ends_before_anything_was_measured_is_an_error(description):
     _, plant = made(description, "motor_dead:FL_knee@0.3")
     with pytest.raises(PlantError, match="nothing was measured"):
@@ -314,6 +316,7 @@ def on_board(description, *faults: str, suspended: bool = True) -> tuple[Emulate
     return board, Robot(link, description, suspended=suspended)
 
 
+@pytest.mark.slow
 def test_on_a_motion_board_every_row_has_every_joint(description):
     board, plant = on_board(description)
     result = probe(plant, probe_motion(description, BOARD).begin(LESS), BOARD, Signals(), wiring=None)

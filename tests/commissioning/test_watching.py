@@ -81,6 +81,7 @@ def test_zeros_that_are_not_known_are_said(robot, tmp_path, monkeypatch):
     assert any("zeros were not set" in note for note in seen[-1].notes)
 
 
+@pytest.mark.slow
 def test_beside_a_program_that_drives_it_asks_nothing_and_shows_what_that_one_is_told(robot, description):
     plant = robot_on_can(EmulatedLink(robot), load_wiring(), description)
     plant.start()

@@ -130,10 +130,10 @@ def tilt(axis: str, angle: float) -> Callable[[EmulatedRobot], None]:
         ({"FR_abad": move("FL_hip")}, "FR_abad: motor 2 on .* turned, which turned for FL_hip already"),
         ({"FR_abad": move("FR_abad", "FR_hip")}, "turned together; move this joint alone"),
         ({"RR_knee": lambda robot: None}, "nothing was seen for 5 s"),
-        ({"IMU: lift the nose": tilt("X", 0.5)}, "the two tilts are .* deg apart"),
+        pytest.param({"IMU: lift the nose": tilt("X", 0.5)}, "the two tilts are .* deg apart", marks=pytest.mark.slow),
         ({"IMU: lift the nose": tilt("Y", 0.5)}, "mirror image"),
-        ({"IMU: roll it to its left": tilt("X", 0.5)}, "mirror image"),
-        ({"IMU: lift the nose": tilt("Z", 0.5)}, "nothing was seen"),
+        pytest.param({"IMU: roll it to its left": tilt("X", 0.5)}, "mirror image", marks=pytest.mark.slow),
+        pytest.param({"IMU: lift the nose": tilt("Z", 0.5)}, "nothing was seen", marks=pytest.mark.slow),
     ],
 )
 def test_what_contradicts_itself_is_refused_and_no_file_is_written(instead, expected, found_by, tmp_path):

@@ -9,9 +9,12 @@ import pytest
 from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.dynamics.robot_model import load_model
 from mimic.errors import ConfigError
-from mimic.evaluation.leading import HandLeading, PullEstimator
+from mimic.evaluation.leading import HandLeading, PullEstimator, lead_figures, lead_robot
+from mimic.policy.runtime import load_policy
 from mimic.records import RobotState, Tick
 from mimic.robot.model import TOES
+from mimic.simulation.hand import Hand
+from mimic.simulation.plant import SimulatedPlant
 
 TOES_OUT = np.array([[0.16, 0.14, -0.24], [0.16, -0.14, -0.24]])
 
@@ -112,3 +115,30 @@ def test_it_ends_after_its_time_or_when_it_is_stopped(description):
 def test_impossible_settings_are_refused(kind, change, text):
     with pytest.raises(ConfigError, match=text):
         kind(**change)
+
+
+def lead(description, **changes):
+    settings = HandSettings(way=1.0, speed=0.2, begin=3.0, **changes)
+    plant = SimulatedPlant(description, samples=False)
+    hand = Hand(plant.model, settings)
+    seconds = settings.end + settings.after
+    plant.watch(hand)
+    result = lead_robot(plant, load_policy(None, description), LeadingSettings(), seconds=seconds)
+    return result, hand, lead_figures(result, hand, settings), settings
+
+
+def test_the_shipped_policy_follows_a_hand_and_stops(description):
+    result, hand, figures, settings = lead(description)
+    assert result.fell_at is None
+    assert figures["followed"]
+    assert figures["stopped"]
+    assert figures["way_m"] == pytest.approx(1.0, abs=0.3)
+    assert 0.5 < figures["pull_mean_n"] < settings.most
+    assert figures["pull_max_n"] <= settings.most + 1e-9
+    assert settings.begin <= hand.t[0] < hand.t[-1] < settings.end
+
+
+def test_a_hand_that_hardly_pulls_moves_nobody(description):
+    _, hand, figures, _ = lead(description, most=0.5)
+    assert not figures["followed"]
+    assert np.linalg.norm(hand.force, axis=1).max() == pytest.approx(0.5)

@@ -80,6 +80,7 @@ def test_it_plays_as_mimic_does(player, policy, description):
     assert np.ptp(log.p_BE_des[:, :, 0]) > 0.2
 
 
+@pytest.mark.slow
 def test_it_is_started_from_the_shell():
     scene = shipped("assets", "cyberdog2") / "scene.xml"
     command = [sys.executable, str(SCRIPT), str(shipped("policies", "stand_track.onnx")), str(scene)]

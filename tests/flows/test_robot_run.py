@@ -57,6 +57,7 @@ def targets(monkeypatch, tmp_path):
     return tmp_path / "t.parquet"
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_the_run_is_saved_does_not_cost_the_run(targets, tmp_path, monkeypatch):
     save = flow.save_run
 
@@ -71,6 +72,7 @@ def test_ctrl_c_while_the_run_is_saved_does_not_cost_the_run(targets, tmp_path, 
     assert not (tmp_path / "run" / "log.rows").exists()
 
 
+@pytest.mark.slow
 def test_insisting_while_the_run_is_saved_says_how_the_robot_was_left_and_how_to_get_the_run(
     targets, tmp_path, monkeypatch
 ):
@@ -96,6 +98,7 @@ def test_ctrl_c_at_the_question_says_that_nothing_was_moved(targets, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_run_folder_that_is_removed_meanwhile_is_written_again_and_that_is_said(targets, tmp_path, monkeypatch):
     folder, reporter = tmp_path / "run", SilentReporter()
     played = flow.play

@@ -143,6 +143,7 @@ def test_a_run_folder_is_not_written_over(played, targets, capsys):
     assert (played[1] / "log.parquet").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_runs_without_a_name_are_numbered(targets, workplace):
     copy = workplace / "arms.parquet"
     copy.write_bytes(targets.read_bytes())

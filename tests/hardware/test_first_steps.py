@@ -101,6 +101,7 @@ def test_a_stock_robot_has_no_dry_run(description):
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("asked", "torque"), [(None, TETHER_TORQUE), (5.0, 5.0)])
 def test_on_a_rope_the_motors_have_less_torque(asked, torque, robot, description):
     settings = BusSettings(zeroed=True, yes=True, tether=True, torque_limit=asked)

@@ -63,7 +63,7 @@ def test_a_computer_without_real_time_priority_is_said_at_the_start(allowed, lin
     assert all(check.verdict == "note" and "no real-time priority" in check.text for check in said)
 
 
-@pytest.mark.parametrize("kind", [PlantError, BusError])
+@pytest.mark.parametrize("kind", [pytest.param(PlantError, marks=pytest.mark.slow), BusError])
 def test_what_fails_while_motors_are_on_is_reported_with_how_they_were_left(kind, robot, description):
     def break_later(plant: Robot) -> None:
         plant.start()

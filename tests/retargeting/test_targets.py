@@ -43,6 +43,7 @@ def crossing(t: np.ndarray) -> np.ndarray:
     return np.stack([0.6 + 0 * t, -0.3 + 0.6 * np.sin(6 * t), 0.3 * np.sin(2 * t)], axis=1)
 
 
+@pytest.mark.slow
 def test_every_row_is_reachable_even_after_the_speed_limit():
     wild = np.stack([1.2 * np.cos(3 * T), 0.9 * np.sin(5 * T), 1.2 * np.sin(3 * T)], axis=1)
     for arms in ((wild, wild), boxing(2.0 * T), (crossing(T), None)):

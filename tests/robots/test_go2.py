@@ -11,7 +11,6 @@ import pytest
 from mimic.cli import main
 from mimic.config.retarget import RetargetSettings
 from mimic.config.training import MdpSettings
-from mimic.dynamics.ground_contacts import ground_parts
 from mimic.dynamics.robot_model import load_model
 from mimic.errors import AssetError, ContractError
 from mimic.io import store
@@ -205,7 +204,6 @@ def test_its_knees_are_slower_and_stronger_than_its_hips():
 def test_every_collision_shape_has_a_role(go2, model):
     shapes = {model.geom(g).name for g in range(model.ngeom)} - {"floor"}
     assert {shape for role in go2.names.patterns for shape in go2.names.shapes(role)} == shapes
-    assert set().union(*ground_parts(go2).values()) <= shapes
 
 
 def test_a_shape_that_the_model_lacks_is_refused(go2):

@@ -176,6 +176,7 @@ def test_speeds_are_those_of_the_motion(description):
         assert wrong < 0.25 * np.abs(seen).mean()
 
 
+@pytest.mark.slow
 def test_a_drawn_start_turns_the_robot_and_leaves_its_joints_on_their_stops_at_most(description):
     starts = [SimulatedPlant(description, ranges=Randomisation(), seed=seed).start() for seed in range(20)]
     headings = np.array([heading_from_quat(state.quat_WB) for state in starts])

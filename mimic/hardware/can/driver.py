@@ -74,9 +74,13 @@ class CanDriver:
             zeroed: Use the zeros as the wiring has them.
             dry_run: The motors stay off; they are asked for readings by orders to stop.
         """
-        self.period, self.problem = description.dt / PARTS, ""
+        self.period = description.dt / PARTS
+        self.problem = ""
         self.motor_bus = MotorBus(link, wiring)
-        self._description, self._homing, self._zeroed, self._dry = description, homing, zeroed, dry_run
+        self._description = description
+        self._homing = homing
+        self._zeroed = zeroed
+        self._dry = dry_run
         self._torque_limit = float(description.torque_max.min()) if torque_limit is None else torque_limit
         self._report = no_report()
         self._failures = self._asked_count = 0
@@ -84,12 +88,15 @@ class CanDriver:
         self._next_question = -np.inf
         self._waits: tuple[float, IntArray] | None = None
         self._damped = -np.inf
-        self._left, self._on = list(ALL), False
+        self._left = list(ALL)
+        self._on = False
 
     @property
     def report(self) -> Any:
         """Newest readings; a scalar of REPORT."""
-        motor_bus, report, now = self.motor_bus, self._report, self.now()
+        motor_bus = self.motor_bus
+        report = self._report
+        now = self.now()
         report["q"], report["dq"], report["tau"] = motor_bus.readings(-np.inf)
         report["came"] = motor_bus.came
         newest = motor_bus.feedback
@@ -97,12 +104,17 @@ class CanDriver:
         report["running"] = [f is not None and f.mode == MotorMode.RUNNING for f in newest]
         report["temperature"] = motor_bus.temperature()
         imu = motor_bus.imu.reading(now)
-        report["quat_WB"], report["omega_B"] = imu.quat_WB, imu.omega_B
-        report["imu_came"], report["imu_changed"], report["imu_count"] = now - imu.age, now - imu.unchanged, imu.count
+        report["quat_WB"] = imu.quat_WB
+        report["omega_B"] = imu.omega_B
+        report["imu_came"] = now - imu.age
+        report["imu_changed"] = now - imu.unchanged
+        report["imu_count"] = imu.count
         report["imu_valid"] = -1 if imu.valid is None else imu.valid
         report["heard"] = max(motor_bus.came.max(), report["imu_came"])
-        report["errors"], report["foreign"] = motor_bus.errors + self._failures, motor_bus.foreign
-        report["voltage"], report["round_trip"] = motor_bus.voltage(), motor_bus.round_trip
+        report["errors"] = motor_bus.errors + self._failures
+        report["foreign"] = motor_bus.foreign
+        report["voltage"] = motor_bus.voltage()
+        report["round_trip"] = motor_bus.round_trip
         busy = motor_bus.bits / motor_bus.wiring.bitrate
         report["busy"][: len(busy)] = busy
         return report
@@ -113,7 +125,8 @@ class CanDriver:
 
     def checks(self, options: CheckOptions) -> list[Check]:
         """Check a robot whose motors are off; nothing moves."""
-        motor_bus, dt = self.motor_bus, self._description.dt
+        motor_bus = self.motor_bus
+        dt = self._description.dt
         rate_hz = np.asarray(options.rate_hz, dtype=float)
         parts = round(float(rate_hz.max()) * dt)
         budget = None
@@ -164,7 +177,8 @@ class CanDriver:
 
     def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
         """Send a command; joints on a bus that does not take it have NaN in the report's ``q_sent``."""
-        motor_bus, now = self.motor_bus, self.now()
+        motor_bus = self.motor_bus
+        now = self.now()
         sent = None
         try:
             motor_bus.drain()
@@ -186,14 +200,16 @@ class CanDriver:
 
     def _note_sent(self, sent: JointCommand | None, joints: Sequence[int]) -> None:
         """Count a command to these joints in the report; None where their bus did not take it."""
-        report, asked = self._report, list(joints)
+        report = self._report
+        asked = list(joints)
         report["sent"] += 1
         for name, value in (("q_sent", "q_des"), ("kp_sent", "kp"), ("kd_sent", "kd")):
             report[name][asked] = np.nan if sent is None else getattr(sent, value)[asked]
 
     def _ask(self) -> None:
         """Ask one motor after the other for its supply voltage; where it has none to tell, for its position."""
-        turn, self._asked_count = self._asked_count, self._asked_count + 1
+        turn = self._asked_count
+        self._asked_count = self._asked_count + 1
         register = (Register.SUPPLY_VOLTAGE, Register.POSITION)[turn % 2]
         self.motor_bus.ask_round_trip(turn // 2 % len(JOINTS), register)
 
@@ -209,7 +225,8 @@ class CanDriver:
     def listen(self, until: float, wake: int | None = None) -> bool:
         """Take what comes until a time [s]; return early, with True, once every motor that was asked has answered."""
         link = self.motor_bus.link
-        link.wake, link.woken = wake, False
+        link.wake = wake
+        link.woken = False
         try:
             self.motor_bus.listen(until, lambda: self._complete() or link.woken)
         except BusError as reason:
@@ -217,7 +234,8 @@ class CanDriver:
             left = max(until - self.now(), 0.0)
             link.sleep(left if wake is None else min(left, _LOOK))
         if self._complete():
-            self._waits, self.problem = None, ""
+            self._waits = None
+            self.problem = ""
             return True
         return False
 
@@ -231,10 +249,13 @@ class CanDriver:
 
     def damp(self) -> None:
         """Damp every motor as much as it can. A bus that fails is opened again; the others are still served."""
-        motor_bus, d, now = self.motor_bus, self._description, self.now()
+        motor_bus = self.motor_bus
+        d = self._description
+        now = self.now()
         q, _, _ = motor_bus.readings(-np.inf)
         q = np.clip(np.where(np.isnan(q), d.poses["lie"], q), d.q_min, d.q_max)
-        damping, self._damped = damping_command(q, d.kd_max), now
+        damping = damping_command(q, d.kd_max)
+        self._damped = now
         for joint in ALL:
             sent = damping if self._dry else None
             try:

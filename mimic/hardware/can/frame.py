@@ -7,8 +7,10 @@ from typing import NamedTuple, Protocol
 
 from mimic.errors import FrameError
 
-EXTENDED_IDS, STANDARD_IDS = 1 << 29, 1 << 11
-"""How many identifiers there are, of 29 and of 11 bits."""
+EXTENDED_IDS = 1 << 29
+"""Number of identifiers of 29 bits."""
+STANDARD_IDS = 1 << 11
+"""Number of identifiers of 11 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +41,8 @@ def arbitration_key(frame: CanFrame) -> int:
     ones that of 11 bits wins, as its frame goes on with a 0.
     """
     if frame.extended:
-        base, rest = frame.id >> 18, frame.id & 0x3FFFF
+        base = frame.id >> 18
+        rest = frame.id & 0x3FFFF
         return base << 19 | 1 << 18 | rest
     return frame.id << 19
 
@@ -68,7 +71,8 @@ _CRC_TABLE = tuple(_crc_byte(byte) for byte in range(256))
 
 def _run_bit(state: int, bit: int) -> tuple[int, int]:
     """Return the state after a bit, and 1 if a bit is stuffed; state = 2 * run length (1-5) + its bit, first 0."""
-    length, last = state >> 1, state & 1
+    length = state >> 1
+    last = state & 1
     length = length + 1 if length and bit == last else 1
     return (2 + (1 - bit), 1) if length == 5 else (2 * length + bit, 0)
 
@@ -81,7 +85,7 @@ def _run_byte(state: int, byte: int) -> tuple[int, int]:
     return state, stuffed
 
 
-_RUN_TABLE = tuple(tuple(_run_byte(state, byte) for byte in range(256)) for state in range(10))
+_RUN_TABLE = tuple(tuple(map(_run_byte, (state,) * 256, range(256))) for state in range(10))
 
 
 def frame_bits(frame: CanFrame) -> int:
@@ -91,10 +95,13 @@ def frame_bits(frame: CanFrame) -> int:
     """
     count = len(frame.data)
     if frame.extended:  # start, 11 bits, SRR, IDE, 18 bits, RTR, two reserved, length
-        base, rest = frame.id >> 18, frame.id & 0x3FFFF
-        head, head_bits = ((base << 2 | 3) << 18 | rest) << 7 | count, 39
+        base = frame.id >> 18
+        rest = frame.id & 0x3FFFF
+        head = ((base << 2 | 3) << 18 | rest) << 7 | count
+        head_bits = 39
     else:  # start, 11 bits, RTR, IDE, one reserved, length
-        head, head_bits = frame.id << 7 | count, 19
+        head = frame.id << 7 | count
+        head_bits = 19
     bits = head_bits + 8 * count
     value = head << 8 * count | int.from_bytes(frame.data, "big")
     crc = _check_sum(value, bits)
@@ -111,7 +118,9 @@ def _check_sum(value: int, bits: int) -> int:
 
 
 def _stuffed(value: int, bits: int) -> int:
-    state, stuffed, odd = 0, 0, bits % 8
+    state = 0
+    stuffed = 0
+    odd = bits % 8
     for place in range(bits - 1, bits - 1 - odd, -1):
         state, more = _run_bit(state, value >> place & 1)
         stuffed += more

@@ -31,7 +31,8 @@ def expected_load(wiring: Wiring, rate_hz: float | FloatArray) -> FloatArray:
         wiring: Which motor is on which bus.
         rate_hz: Commands a second to each motor, or to each of them (12,) [Hz].
     """
-    rates, motors = np.broadcast_to(rate_hz, wiring.bus.shape), wiring.motors().facts
+    rates = np.broadcast_to(rate_hz, wiring.bus.shape)
+    motors = wiring.motors().facts
     bits = np.bincount(wiring.bus, weights=rates, minlength=wiring.buses) * (motors.command_bits + motors.feedback_bits)
     bits[wiring.imu.bus] += sum(IMU_MESSAGE[name] * rate for name, rate in wiring.imu.rate.items())
     return bits / wiring.bitrate

@@ -154,12 +154,14 @@ def _temperature(motor_bus: MotorBus) -> Check:
 
 
 def _voltage(motor_bus: MotorBus) -> Check:
-    facts, volts = motor_bus.motors.facts, motor_bus.read(Register.SUPPLY_VOLTAGE)
+    facts = motor_bus.motors.facts
+    volts = motor_bus.read(Register.SUPPLY_VOLTAGE)
     if np.isnan(volts).any():
         names = ", ".join(JOINTS[j] for j in np.flatnonzero(np.isnan(volts)))
         since = f"; their firmware is older than {facts.voltage_since}" if facts.voltage_since else ""
         return Check(name="voltage", verdict="note", text=f"{names} do not report it{since}")
-    low, high = float(volts.min()), float(volts.max())
+    low = float(volts.min())
+    high = float(volts.max())
     text = f"{low:.1f} to {high:.1f} V"
     if facts.voltage_since:
         text += f"; the firmware is {facts.voltage_since} or newer, as it reports this"
@@ -172,10 +174,13 @@ def _voltage(motor_bus: MotorBus) -> Check:
 
 
 def _range(motor_bus: MotorBus) -> Check:
-    name, motors = "position range", motor_bus.motors
-    used, exact = motor_bus.wiring.position_range, motor_bus.read(Register.POSITION)
+    name = "position range"
+    motors = motor_bus.motors
+    used = motor_bus.wiring.position_range
+    exact = motor_bus.read(Register.POSITION)
     register = motors.facts.registers.get(Register.POSITION, "no register")
-    confirmed, wrong = 0, []
+    confirmed = 0
+    wrong = []
     for joint, feedback in enumerate(motor_bus.feedback):
         if feedback is None or np.isnan(exact[joint]):
             continue
@@ -207,8 +212,11 @@ def _zeros(motor_bus: MotorBus, homing: Homing | None, trust: bool) -> Check:
 
 
 def _imu(motor_bus: MotorBus, q: FloatArray, description: RobotDescription, suspended: bool) -> list[Check]:
-    imu, link = motor_bus.imu, motor_bus.link
-    rate, reading, wanted = 0.0, imu.reading(link.now()), motor_bus.wiring.imu.rate["quaternion"]
+    imu = motor_bus.imu
+    link = motor_bus.link
+    rate = 0.0
+    reading = imu.reading(link.now())
+    wanted = motor_bus.wiring.imu.rate["quaternion"]
     for _ in range(IMU_TRIES):  # a busy computer may itself lose messages
         begin = reading.count
         motor_bus.listen(link.now() + IMU_LISTEN)

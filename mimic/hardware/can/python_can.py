@@ -50,9 +50,11 @@ python-can refuses. On a loaded computer three of three tries failed."""
 START_UP = 2.0
 """What a serial adapter gets to start up in [s], as in python-can."""
 
-_FULL, _FRAME = 60, 0.00015
-"""Times that a full queue is tried, and how long to wait in between [s], about a frame at 1 Mbit/s. SocketCAN queues
-ten frames unless told otherwise, and twelve commands come at once."""
+_FULL = 60
+"""Times that a full queue is tried. SocketCAN queues ten frames unless told otherwise, and twelve commands come at
+once."""
+_FRAME = 0.00015
+"""Wait between two tries [s]: about a frame at 1 Mbit/s."""
 
 _SLICE = 0.0005
 """How long to wait at a time on a bus that cannot be waited for [s]."""
@@ -134,7 +136,10 @@ class _Port:
             sock: Its socket, where it has one.
             ready: Whether nothing is to be read unless its file says so.
         """
-        self.name, self._bus, self._sock, self._ready = name, bus, sock, ready
+        self.name = name
+        self._bus = bus
+        self._sock = sock
+        self._ready = ready
         self.garbled = 0
         self.file: int | None = sock.fileno() if sock is not None else _fileno(bus)
 
@@ -160,7 +165,8 @@ class _Port:
             try:
                 if self._ready and self.file is not None and not _readable(self.file):
                     return None
-                message, timeout = self._bus.recv(timeout), 0.0
+                message = self._bus.recv(timeout)
+                timeout = 0.0
                 if message is None:
                     self._check()
                     return None
@@ -194,10 +200,13 @@ class _Port:
 class _Closed:
     """A bus that is being opened again."""
 
-    file, garbled = None, 0
+    file: None = None
+    garbled = 0
 
     def __init__(self, name: str, problem: str = "") -> None:
-        self.name, self.opening, self._problem = name, not problem, problem or f"{name} is being opened again"
+        self.name = name
+        self.opening = not problem
+        self._problem = problem or f"{name} is being opened again"
 
     def send(self, frame: CanFrame) -> None:
         raise BusError(self._problem)
@@ -257,7 +266,8 @@ class CanLink:
         wake = [] if self.wake is None else [self.wake]
         while True:
             for _ in self._ports:
-                bus, self._next = self._next, (self._next + 1) % len(self._ports)
+                bus = self._next
+                self._next = (self._next + 1) % len(self._ports)
                 frame = self._ports[bus].take()
                 if frame is not None:
                     return Received(bus, frame, time.monotonic())
@@ -389,7 +399,8 @@ def _socketcand(name: str) -> _Port:
 def _address(name: str) -> tuple[str, int]:
     url = urlsplit(name)
     try:
-        host, port = url.hostname, url.port
+        host = url.hostname
+        port = url.port
     except ValueError as reason:
         raise ConfigError(f"{name} has no usable port: {reason}") from None
     if not host or not port:

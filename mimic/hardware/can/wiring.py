@@ -103,12 +103,14 @@ class _Reader:
     """Reads values from the file and checks them."""
 
     def __init__(self, path: Path, raw: Mapping[str, Any]) -> None:
-        self._path, self._raw = path, raw
+        self._path = path
+        self._raw = raw
 
     def wiring(self, buses: int) -> Wiring:
         raw = self._raw
         joints = table(raw, "joints", "the file")
-        unknown, missing = [j for j in joints if j not in JOINTS], [j for j in JOINTS if j not in joints]
+        unknown = [j for j in joints if j not in JOINTS]
+        missing = [j for j in JOINTS if j not in joints]
         if unknown:
             raise ConfigError(f"[joints] names {', '.join(unknown)}; the robot has {', '.join(JOINTS)}")
         if missing:

@@ -41,7 +41,8 @@ class Homing:
         Raises:
             AssetError: If the file cannot be written.
         """
-        offset, phase = self.offset.tolist(), self.phase.tolist()
+        offset = self.offset.tolist()
+        phase = self.phase.tolist()
         try:
             save_json({"uid": list(self.uid), "mark": self.mark, "offset": offset, "phase": phase}, path)
         except OSError as reason:
@@ -61,9 +62,8 @@ def read_homing(path: Path) -> Homing | None:
         return None
     raw: Any = load_json(path)
     try:
-        offset, phase = (
-            np.array([np.nan if v is None else v for v in raw[name]], dtype=np.float64) for name in ("offset", "phase")
-        )
+        offset = np.array(raw["offset"], dtype=np.float64)  # null becomes NaN
+        phase = np.array(raw["phase"], dtype=np.float64)
         found = Homing(uid=tuple(map(int, raw["uid"])), mark=float(raw["mark"]), offset=offset, phase=phase)
         if not len(found.uid) == len(offset) == len(phase) == len(JOINTS):
             raise ValueError
@@ -97,7 +97,8 @@ def uneven(q: FloatArray) -> list[str]:
     differences = []
     for left, right in ((0, 3), (6, 9)):
         for part in range(3):
-            one, other = q[left + part], q[right + part]
+            one = q[left + part]
+            other = q[right + part]
             apart = abs(one + other) if part == 0 else abs(one - other)
             if apart > UNEVEN:
                 differences.append(

@@ -36,8 +36,12 @@ KEPT = 32
 BLOCKS = 1_000_000
 """A message that a slow reader holds up is given up after this [ns]."""
 
-_RELIABLE, _OWN, _LAST = 1, 1, 0
-"""Kinds of reliability, of messages that are left out: those of the same participant, and of those that are kept."""
+_RELIABLE = 1
+"""Kind of reliability: messages are repeated until they arrive."""
+_OWN = 1
+"""Kind of messages that are left out: those of the same participant."""
+_LAST = 0
+"""Kind of messages that are kept: the last ones."""
 
 _CONFIG = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="{}" priority="default" '
@@ -97,7 +101,9 @@ class _Piece(ctypes.Structure):
     _fields_ = (("bytes", ctypes.c_char_p), ("size", ctypes.c_size_t))
 
 
-_ADDRESS, _ARRAY, _SEQUENCE = 1 << 24, 8 << 16, 7 << 16
+_ADDRESS = 1 << 24
+_ARRAY = 8 << 16
+_SEQUENCE = 7 << 16
 _CODES = {"uint8": 1, "int8": 1, "uint16": 2, "int16": 2, "uint32": 3, "int32": 3, "float32": 3, "int64": 4}
 _CODES |= {"string": 5, "bool": 14}
 """Instructions of Cyclone DDS's serializer, and its types. Source: ddsc/dds_opcodes.h."""
@@ -108,7 +114,8 @@ _DATA = 2
 
 def _instructions(struct: Struct, begin: int = 0) -> list[int]:
     """Return how the serializer goes through a struct at an offset, field by field."""
-    words, layout = [], struct.layout
+    words = []
+    layout = struct.layout
     for name, kind, length in struct.fields:
         place = begin + layout.fields[name][1]  # type: ignore[index]
         if isinstance(kind, Struct):
@@ -179,18 +186,21 @@ class DdsBus(Bus):
         except ImportError:
             raise MissingExtra("cyclonedds", "go2") from None
 
-        self.heard, self._dds = heard, load_cyclonedds()
+        self.heard = heard
+        self._dds = load_cyclonedds()
         self._wakes, self._woken = os.pipe()
         os.set_blocking(self._wakes, False)
         os.set_blocking(self._woken, False)
-        self._sources, woken = {self._wakes: self._take}, self._woken
+        self._sources = {self._wakes: self._take}
+        woken = self._woken
 
         def wake(*_: Any) -> None:
             with suppress(OSError):  # full: it is awake; or closed
                 os.write(woken, b".")
 
         self._wake = ctypes.CFUNCTYPE(None, ctypes.c_int32, ctypes.c_void_p)(wake)
-        self._info, self._message = dds_c_t.sample_info(), ctypes.c_void_p()
+        self._info = dds_c_t.sample_info()
+        self._message = ctypes.c_void_p()
         self._writers: dict[str, tuple[int, ctypes.c_void_p]] = {}
         for name in ("dds_create_qos", "dds_create_listener", "ddsi_serdata_from_ser_iov"):
             getattr(self._dds, name).restype = ctypes.c_void_p
@@ -213,7 +223,8 @@ class DdsBus(Bus):
         Raises:
             OSError: If there is none.
         """
-        dds, participant = self._dds, self._participant._ref
+        dds = self._dds
+        participant = self._participant._ref
         qos = ctypes.c_void_p(dds.dds_create_qos())
         if kind == "topic":
             made = dds.dds_create_topic(participant, ctypes.byref(_descriptor(TOPICS[name])), name.encode(), None, None)
@@ -235,7 +246,8 @@ class DdsBus(Bus):
     def _writer(self, topic: str) -> tuple[int, ctypes.c_void_p]:
         """Return a writer and the type of its messages; others see it from then on."""
         if topic not in self._writers:
-            made, kind = self._made("writer", topic), ctypes.c_void_p()
+            made = self._made("writer", topic)
+            kind = ctypes.c_void_p()
             self._dds.dds_get_entity_sertype(made, ctypes.byref(kind))
             self._writers[topic] = made, kind
         return self._writers[topic]
@@ -250,7 +262,9 @@ class DdsBus(Bus):
         Raises:
             OSError: If the network does not take it.
         """
-        dds, (writer, kind), piece = self._dds, self._writer(channel), _Piece(data, len(data))
+        dds = self._dds
+        (writer, kind) = self._writer(channel)
+        piece = _Piece(data, len(data))
         made = dds.ddsi_serdata_from_ser_iov(kind, _DATA, ctypes.c_size_t(1), ctypes.byref(piece), piece.size)
         if not made:
             raise OSError(f"{channel}: no message of {len(data)} bytes can be made")
@@ -269,20 +283,15 @@ class DdsBus(Bus):
             for endpoint in self._what.read(1000, condition=ReadCondition(self._what, alive))
             if endpoint.topic_name == topic and endpoint.participant_key != own
         }
-        names = {
-            one.key: {p.key: p.value for p in one.qos if hasattr(p, "key") and hasattr(p, "value")}
-            for one in self._who.read(1000, condition=ReadCondition(self._who, alive))
-        }
-        return sorted(
-            f"{known.get('__ProcessName', 'a program')} (pid {known.get('__Pid', '?')}) on "
-            f"{known.get('__Hostname', 'an unknown computer')}, GUID {str(key)[:8]}"
-            for key, known in ((key, names.get(key, {})) for key in found)
-        )
+        qos = {one.key: one.qos for one in self._who.read(1000, condition=ReadCondition(self._who, alive))}
+        return sorted(_program(key, qos.get(key, ())) for key in found)
 
     def _take(self) -> None:
         os.read(self._wakes, 4096)
-        now, dds = time.monotonic(), self._dds
-        message, info = ctypes.byref(self._message), ctypes.byref(self._info)
+        now = time.monotonic()
+        dds = self._dds
+        message = ctypes.byref(self._message)
+        info = ctypes.byref(self._info)
         for topic, reader in self._readers.items():
             while dds.dds_takecdr(reader, message, 1, info, 0) > 0:
                 self.source = int(self._info.publication_handle)
@@ -306,6 +315,18 @@ class DdsBus(Bus):
         self._readers.clear()
         self._writers.clear()
         self._topics.clear()
-        self._sources, self._who, self._what, self._participant = {}, None, None, None
+        self._sources = {}
+        self._who = None
+        self._what = None
+        self._participant = None
         os.close(self._woken)
         os.close(self._wakes)
+
+
+def _program(key: Any, qos: Any) -> str:
+    """Return what a participant says about its computer and program, and its number (GUID)."""
+    said = {entry.key: entry.value for entry in qos if hasattr(entry, "key") and hasattr(entry, "value")}
+    return (
+        f"{said.get('__ProcessName', 'a program')} (pid {said.get('__Pid', '?')}) on "
+        f"{said.get('__Hostname', 'an unknown computer')}, GUID {str(key)[:8]}"
+    )

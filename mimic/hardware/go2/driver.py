@@ -85,7 +85,8 @@ NOT_DRIVEN = "it was sent no command"
 class Go2Driver(BoardDriver):
     """See `mimic.hardware.robot.driver.Driver`."""
 
-    name, usual_rate = "a Go2", 400.0
+    name = "a Go2"
+    usual_rate = 400.0
 
     def __init__(
         self,
@@ -98,14 +99,16 @@ class Go2Driver(BoardDriver):
     ) -> None:
         """Take an open bus; nothing is sent. See `mimic.hardware.robot.board.BoardDriver`."""
         super().__init__(bus, wiring, description, BoardReadings(wiring), network=network, torque_limit=torque_limit)
-        self._dds, self._wiring = bus, wiring
+        self._dds = bus
+        self._wiring = wiring
         self.mode: str | None = None
         """Name of its own active mode as it said last, empty for none; None if it does not say."""
         self._mode_asked = -np.inf
         self._robot: int | None = None
         self._strangers: set[int] = set()
         """Publisher of the readings that are taken, and of those that are left out."""
-        self._calls, self._answers_to = itertools.count(1), dict[int, Call]()
+        self._calls = itertools.count(1)
+        self._answers_to = dict[int, Call]()
         self._lost = np.zeros(len(JOINTS), dtype=np.int64)
         self._modes = np.zeros(len(JOINTS), dtype=np.int64)
         self._says_mode = self._sent = self._released = False
@@ -140,10 +143,13 @@ class Go2Driver(BoardDriver):
         return source == self._robot
 
     def _take(self, message: Any, t: float) -> None:
-        wiring, report, motors = self._wiring, self.report, message["motor_state"][: len(JOINTS)]
+        wiring = self._wiring
+        report = self.report
+        motors = message["motor_state"][: len(JOINTS)]
         report["heard"] = t
         self.readings.joints += 1
-        came, lost = np.array(report["came"]), motors["lost"].astype(np.int64)[wiring.index]
+        came = np.array(report["came"])
+        lost = motors["lost"].astype(np.int64)[wiring.index]
         taken = self.readings.take_motors(
             wiring.angles(motors["q"]),
             wiring.joints(motors["dq"]),
@@ -153,7 +159,8 @@ class Go2Driver(BoardDriver):
         )
         if taken:
             first = not np.isfinite(came).any()
-            silent, self._lost = (lost > self._lost) & (not first), lost
+            silent = (lost > self._lost) & (not first)
+            self._lost = lost
             report["came"] = np.where(silent, came, t)  # the robot did not hear this motor itself
             serves = motors["mode"][wiring.index] == SERVO
             report["running"] = serves if self._says_mode else True
@@ -213,8 +220,10 @@ class Go2Driver(BoardDriver):
 
     def _own_checks(self) -> tuple[list[Check], str, list[Check]]:
         self.ask_mode()
-        found, text = self._robots(), "none commands this robot"
-        others, came = self._dds.others(), int(self.report["foreign"])
+        found = self._robots()
+        text = "none commands this robot"
+        others = self._dds.others()
+        came = int(self.report["foreign"])
         if self.mode is None:
             text = (
                 "its motion switcher does not answer, so its own sport mode may command it: restart it, and wait until "
@@ -310,7 +319,8 @@ class Go2Driver(BoardDriver):
                 raise PlantError(
                     "the robot was not moved: its sport service does not answer; lay it down with its remote control"
                 )
-            rested, end = self.now(), self.now() + LIES_WITHIN
+            rested = self.now()
+            end = self.now() + LIES_WITHIN
             while self.now() - rested < self._limits.rest_seconds:
                 self.listen(self.now() + PERIOD)
                 away = np.abs(self.report["q"] - self._description.poses["lie"]).max()
@@ -333,9 +343,13 @@ class Go2Driver(BoardDriver):
     # ------------------------------------------------------------------ messages
 
     def _send(self, q: FloatArray, dq: FloatArray, kp: FloatArray, kd: FloatArray, tau: FloatArray) -> None:
-        wiring, motors = self._wiring, self._message["motor_cmd"][: len(JOINTS)]
-        motors["q"], motors["dq"], motors["tau"] = wiring.wire_angles(q), wiring.wire(dq), wiring.wire(tau)
-        motors["kp"], motors["kd"] = wiring.wire_gains(kp), wiring.wire_gains(kd)
+        wiring = self._wiring
+        motors = self._message["motor_cmd"][: len(JOINTS)]
+        motors["q"] = wiring.wire_angles(q)
+        motors["dq"] = wiring.wire(dq)
+        motors["tau"] = wiring.wire(tau)
+        motors["kp"] = wiring.wire_gains(kp)
+        motors["kd"] = wiring.wire_gains(kd)
         self._sent = True
         self.report["sent"] += 1
         self._publish(LOWCMD, encode(LOWCMD, self._message))

@@ -52,7 +52,8 @@ class Struct:
 
 def define(name: str, text: str, *parts: Struct) -> Struct:
     """Return a type from its fields as an .idl file writes them; `parts` are structs that it holds."""
-    known, fields = {part.name.rpartition(".")[2]: part for part in parts}, []
+    known = {part.name.rpartition(".")[2]: part for part in parts}
+    fields = []
     for line in text.split(";"):
         kind, field = line.split()
         field, _, length = field.removesuffix("]").partition("[")
@@ -60,7 +61,8 @@ def define(name: str, text: str, *parts: Struct) -> Struct:
     return Struct(name, fields)
 
 
-_GO, _API = "unitree_go.msg.dds_.", "unitree_api.msg.dds_."
+_GO = "unitree_go.msg.dds_."
+_API = "unitree_api.msg.dds_."
 _HEAD = (
     "uint8 head[2]; uint8 level_flag; uint8 frame_reserve; uint32 sn[2]; uint32 version[2]; uint16 bandwidth; "
     # the same in both messages
@@ -128,8 +130,10 @@ RESPONSE = define(
 )
 """Its answer."""
 
-LOWCMD, LOWSTATE = "rt/lowcmd", "rt/lowstate"
-SWITCHER, SPORT = "rt/api/motion_switcher/", "rt/api/sport/"
+LOWCMD = "rt/lowcmd"
+LOWSTATE = "rt/lowstate"
+SWITCHER = "rt/api/motion_switcher/"
+SPORT = "rt/api/sport/"
 TOPICS: Mapping[str, Struct] = {
     LOWCMD: LOW_CMD,
     LOWSTATE: LOW_STATE,
@@ -138,8 +142,12 @@ TOPICS: Mapping[str, Struct] = {
 }
 """Topic -> type of its messages."""
 
-CHECK_MODE, RELEASE_MODE, STAND_DOWN = 1001, 1003, 1005
-"""Questions to the motion switcher, and one to the sport service."""
+CHECK_MODE = 1001
+"""Question to the motion switcher: which service controls the robot."""
+RELEASE_MODE = 1003
+"""Order to the motion switcher: release it."""
+STAND_DOWN = 1005
+"""Order to the sport service: lie down."""
 
 _LAYOUTS = {LOWCMD: LOW_CMD.layout, LOWSTATE: LOW_STATE.layout}
 _SPANS = {
@@ -163,14 +171,16 @@ def crc32(memory: bytes) -> int:
 def blank(topic: str) -> Any:
     """Return a message of rt/lowcmd or rt/lowstate with its header and else zeros, to be filled in."""
     message: Any = np.zeros((), _LAYOUTS[topic])
-    message["head"], message["level_flag"] = (0xFE, 0xEF), 0xFF
+    message["head"] = (0xFE, 0xEF)
+    message["level_flag"] = 0xFF
     return message
 
 
 def encode(topic: str, message: Any) -> bytes:
     """Return a message of rt/lowcmd or rt/lowstate as it goes over the wire; sets its checksum."""
     message["crc"] = crc32(message.tobytes())
-    memory, wire = message.tobytes(), bytearray(message.nbytes)
+    memory = message.tobytes()
+    wire = bytearray(message.nbytes)
     wire[:4] = LITTLE_ENDIAN
     for begin, end, place in _SPANS[topic]:
         wire[place : place + end - begin] = memory[begin:end]

@@ -47,9 +47,10 @@ _TWICE = 10
 _OWED = 32
 """Answers that may still come; more are lost."""
 
-ECHO_AT_ONCE, ECHO_WITHIN = 0.05, 0.5
-"""An own frame, known by its bus, id and bytes, that comes back within this is an echo of the adapter [s]; a command,
-which others hardly send alike, also if it comes later."""
+ECHO_AT_ONCE = 0.05
+"""An own frame, known by its bus, id and bytes, that comes back within this is an echo of the adapter [s]."""
+ECHO_WITHIN = 0.5
+"""The same for a command, which others hardly send alike [s]."""
 
 _COUNT_EVERY = 16
 """One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
@@ -72,7 +73,9 @@ class MotorBus:
             wiring: Which motor moves which joint.
             overhear: Also keep what motors answer to other computers.
         """
-        self.link, self.wiring, self._overhear = link, wiring, overhear
+        self.link = link
+        self.wiring = wiring
+        self._overhear = overhear
         self.motors = wiring.motors()
         """The language of these motors."""
         self.imu: Imu = make_imu(wiring.imu)
@@ -176,17 +179,21 @@ class MotorBus:
                 self.echoes += 1
             case OtherHost():
                 if answer.commands:
-                    self.foreign, self.foreign_text = self.foreign + 1, answer.text
+                    self.foreign = self.foreign + 1
+                    self.foreign_text = answer.text
                 if answer.feedback is not None and self._overhear:
-                    self.feedback[joint], self.came[joint] = answer.feedback, t
+                    self.feedback[joint] = answer.feedback
+                    self.came[joint] = t
             case Feedback():
-                self.feedback[joint], self.came[joint] = answer, t
+                self.feedback[joint] = answer
+                self.came[joint] = t
                 self._answered(joint)
             case RegisterValue():
                 self._answered(joint)
                 self._values[joint, answer.register] = answer.value
                 if self._asked is not None and self._asked[:2] == (joint, answer.register):
-                    self.round_trip, self._asked = t - self._asked[2], None
+                    self.round_trip = t - self._asked[2]
+                    self._asked = None
             case Identity():
                 self._uids[joint] = answer.uid
                 self._answered(joint)
@@ -237,7 +244,9 @@ class MotorBus:
             FrameError: If it is not finite.
         """
         w = self.wiring
-        p, dp, tau = w.p_of(command.q_des), w.sign * command.dq_des, w.sign * command.tau_ff
+        p = w.p_of(command.q_des)
+        dp = w.sign * command.dq_des
+        tau = w.sign * command.tau_ff
         kp, kd, dq_des, tau_ff = (np.array(v) for v in (command.kp, command.kd, command.dq_des, command.tau_ff))
         failed: dict[int, BusError] = {}
         for j in joints:
@@ -251,8 +260,11 @@ class MotorBus:
             except BusError as reason:
                 failed[bus] = reason
                 continue
-            p[j], dq_des[j], tau_ff[j] = sent.q, w.sign[j] * sent.dq, w.sign[j] * sent.tau
-            kp[j], kd[j] = sent.kp, sent.kd
+            p[j] = sent.q
+            dq_des[j] = w.sign[j] * sent.dq
+            tau_ff[j] = w.sign[j] * sent.tau
+            kp[j] = sent.kp
+            kd[j] = sent.kd
         for reason in failed.values():
             raise reason
         return JointCommand(q_des=w.q_of(p), dq_des=dq_des, kp=kp, kd=kd, tau_ff=tau_ff)
@@ -345,7 +357,8 @@ class MotorBus:
 
     def readings(self, since: float | FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return q, dq and tau (12,) of feedback after a time, or after one time each (12,); NaN without any."""
-        rows, newer = np.full((3, len(JOINTS)), np.nan), self.came > since
+        rows = np.full((3, len(JOINTS)), np.nan)
+        newer = self.came > since
         for joint, feedback in enumerate(self.feedback):
             if feedback is not None and newer[joint]:
                 rows[:, joint] = feedback.q, feedback.dq, feedback.tau

@@ -60,17 +60,26 @@ class Imu(Protocol):
         ...
 
 
-QUATERNION, RATE_OF_TURN, STATUS_WORD, SAMPLE_TIME, GROUP_COUNTER = 0x021, 0x032, 0x011, 0x005, 0x006
-"""Identifiers of 11 bits, as the device ships."""
+QUATERNION = 0x021
+"""Identifier of the orientation: 11 bits, as the device ships."""
+RATE_OF_TURN = 0x032
+"""Of the angular velocity."""
+STATUS_WORD = 0x011
+"""Of the status word."""
+SAMPLE_TIME = 0x005
+"""Of the time of the sample."""
+GROUP_COUNTER = 0x006
+"""Of the counter of samples."""
 
 _LENGTH = {QUATERNION: 8, RATE_OF_TURN: 6, STATUS_WORD: 4, SAMPLE_TIME: 4, GROUP_COUNTER: 2}
 
 _NUMBERS = {SAMPLE_TIME: "time", GROUP_COUNTER: "counter", STATUS_WORD: "status"}
 """Field of each message that is one number, in the order in which an MTi sends them."""
 
-_QUATERNION_SCALE, _RATE_SCALE = 32767.0, 512.0
-"""Words of 1 and of 1 rad/s. The maker's document divides quaternions by 32767, its DBC by 32768; normalised, both
-are one."""
+_QUATERNION_SCALE = 32767.0
+"""Word of 1. The maker's document divides quaternions by 32767, its DBC by 32768; normalised, both are one."""
+_RATE_SCALE = 512.0
+"""Word of 1 rad/s."""
 
 OTHER_OUTPUTS = frozenset(
     (0x001, 0x002, 0x007, 0x022, 0x031, 0x033, 0x034, 0x035, 0x041, 0x051, 0x052, 0x061, 0x062)
@@ -171,18 +180,21 @@ class XsensMti:
         sample = decode_mti(frame)
         if sample is None:
             return not frame.extended and frame.id in OTHER_OUTPUTS
-        present = {n: v for n in MtiSample.__dataclass_fields__ if (v := getattr(sample, n)) is not None}
+        values = {name: getattr(sample, name) for name in MtiSample.__dataclass_fields__}
+        present = {name: value for name, value in values.items() if value is not None}
         self._newest = replace(self._newest, **present)
         if frame.id in self._came:
             self._came[frame.id] = t
             self._samples[frame.id] += 1
         if self._content.get(frame.id) != frame.data:
-            self._content[frame.id], self._changed = frame.data, t
+            self._content[frame.id] = frame.data
+            self._changed = t
         return True
 
     def reading(self, now: float) -> ImuReading:
         """Return the latest reading as of time ``now`` [s]."""
-        newest, age = self._newest, now - min(self._came.values())
+        newest = self._newest
+        age = now - min(self._came.values())
         valid = None if newest.status is None else bool(newest.status & ORIENTATION_VALID)
         counted = newest.counter is not None or newest.time is not None  # without, a robot at rest repeats itself
         problem = None
@@ -194,9 +206,11 @@ class XsensMti:
             problem = f"the IMU has repeated itself for {1e3 * (now - self._changed):.0f} ms"
         elif valid is False:
             problem = "the IMU calls its orientation invalid"
-        quat_WB, omega_B = np.full(4, np.nan), np.full(3, np.nan)
+        quat_WB = np.full(4, np.nan)
+        omega_B = np.full(3, np.nan)
         if newest.quat_WI is not None and newest.omega_I is not None and age <= STALE_AFTER:
-            quat_WB, omega_B = multiply_quats(newest.quat_WI, self._quat_IB), self._R_BI @ newest.omega_I
+            quat_WB = multiply_quats(newest.quat_WI, self._quat_IB)
+            omega_B = self._R_BI @ newest.omega_I
         return ImuReading(
             quat_WB=quat_WB,
             omega_B=omega_B,

@@ -22,8 +22,12 @@ from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
-_SIOCGIFADDR, _SIOCGIFFLAGS, _IFF_UP = 0x8915, 0x8913, 1
-"""Questions to the kernel about a network interface. Source: Linux, include/uapi/linux/sockios.h and if.h."""
+_SIOCGIFADDR = 0x8915
+"""Question to the kernel: the address of a network interface. Source: Linux, include/uapi/linux/sockios.h."""
+_SIOCGIFFLAGS = 0x8913
+"""Question to the kernel: its flags."""
+_IFF_UP = 1
+"""Flag of an interface that is up. Source: Linux, include/uapi/linux/if.h."""
 
 PERIOD = 0.002
 """Time between two messages [s]: the firmware's own cycle."""
@@ -131,12 +135,14 @@ class BoardReadings:
         if not bool(np.all(np.abs(q) <= ranges.angle) and np.all(np.abs(dq) <= ranges.velocity)):  # false for NaN
             self.report["errors"] += 1
             return False
-        self.report["q"], self.report["dq"] = q, dq
+        self.report["q"] = q
+        self.report["dq"] = dq
         return True
 
     def take_motors(self, q: FloatArray, dq: FloatArray, tau: FloatArray, temperature: FloatArray, t: float) -> bool:
         """Take a full set of readings (12,) that came at time t [s], if motors can have them; else count an error."""
-        report, (coldest, warmest) = self.report, self._wiring.readings.temperature
+        report = self.report
+        (coldest, warmest) = self._wiring.readings.temperature
         if not (
             np.all(np.abs(tau) <= self._wiring.readings.torque)
             and temperature.min() >= coldest
@@ -148,13 +154,16 @@ class BoardReadings:
             return False
         if report["readings"]:
             report["round_trip"] = t - float(report["came"].max())
-        report["tau"], report["temperature"], report["came"] = tau, temperature, t
+        report["tau"] = tau
+        report["temperature"] = temperature
+        report["came"] = t
         report["readings"] += 1
         return True
 
     def take_orientation(self, quat: FloatArray, omega: FloatArray, t: float) -> None:
         """Take a quaternion in the board's order (4,) and a rate of turn (3,) [rad/s], or count an error."""
-        report, quat = self.report, quat[self._wiring.quat]
+        report = self.report
+        quat = quat[self._wiring.quat]
         length = float(np.linalg.norm(quat))
         if not (np.all(np.abs(omega) <= self._wiring.readings.turn_rate) and abs(length - 1.0) < 0.05):
             report["errors"] += 1
@@ -162,7 +171,8 @@ class BoardReadings:
         quat = quat / length
         if not (np.array_equal(quat, report["quat_WB"]) and np.array_equal(omega, report["omega_B"])):
             report["imu_changed"] = t
-        report["quat_WB"], report["omega_B"] = quat, omega
+        report["quat_WB"] = quat
+        report["omega_B"] = omega
         report["imu_came"] = t
         report["imu_count"] += 1
 
@@ -170,7 +180,8 @@ class BoardReadings:
 class BoardDriver:
     """What a `mimic.hardware.robot.driver.Driver` of any board does; `start`, `_send` and `end` are its own."""
 
-    period, repeats = PERIOD, True
+    period = PERIOD
+    repeats = True
     name: str
     """In messages."""
     usual_rate = LOWEST_RATE
@@ -203,12 +214,16 @@ class BoardDriver:
             raise PlantError(
                 f"{self.name} has no torque limit to set; leave out --torque-limit (given: {torque_limit:g} N m)"
             )
-        self.bus, self.network, self.problem = bus, network, ""
+        self.bus = bus
+        self.network = network
+        self.problem = ""
         bus.heard = self.heard
-        self._description, self._limits = description, limits_for(description)
+        self._description = description
+        self._limits = limits_for(description)
         self._joints = wiring
         self._kd = min(description.kd_max, wiring.kd_max)
-        self.readings, self._foreign = readings, NEVER
+        self.readings = readings
+        self._foreign = NEVER
 
     @property
     def report(self) -> Any:
@@ -247,8 +262,10 @@ class BoardDriver:
         """
         if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
             raise FrameError("a command holds numbers that are not finite")
-        wiring, report = self._joints, self.report
-        kp, kd = command.kp, command.kd
+        wiring = self._joints
+        report = self.report
+        kp = command.kp
+        kd = command.kd
         if kp.max() > wiring.kp_max or kd.max() > wiring.kd_max:
             raise FrameError(
                 f"a command has Kp {kp.max():g} and Kd {kd.max():g}; {self.name} takes up to {wiring.kp_max:g} and "
@@ -257,7 +274,9 @@ class BoardDriver:
         q, dq, tau = self._followed(command, kp, kd)
         dq, tau = (np.clip(v, -most, most) for v, most in ((dq, wiring.velocity_max), (tau, wiring.torque_max)))
         self._send(q, dq, kp, kd, tau)
-        report["q_sent"], report["kp_sent"], report["kd_sent"] = command.q_des, kp, kd
+        report["q_sent"] = command.q_des
+        report["kp_sent"] = kp
+        report["kd_sent"] = kd
 
     def _followed(self, command: JointCommand, kp: FloatArray, kd: FloatArray) -> tuple[FloatArray, ...]:
         """Return desired angles, velocities and torques (12,) that the board follows as the command means it."""
@@ -265,10 +284,13 @@ class BoardDriver:
 
     def damp(self) -> None:
         """Send damping."""
-        report, zero = self.report, np.zeros(len(JOINTS))
+        report = self.report
+        zero = np.zeros(len(JOINTS))
         q = np.where(np.isfinite(report["q"]), report["q"], 0.0)
         self._send(q, zero, zero, np.full(len(JOINTS), self._kd), zero)
-        report["q_sent"], report["kp_sent"], report["kd_sent"] = q, zero, self._kd
+        report["q_sent"] = q
+        report["kp_sent"] = zero
+        report["kd_sent"] = self._kd
 
     def _send(self, q: FloatArray, dq: FloatArray, kp: FloatArray, kd: FloatArray, tau: FloatArray) -> None:
         """Send a message with these values of all joints (12,)."""
@@ -297,7 +319,8 @@ class BoardDriver:
 
     def _problems(self, suspended: bool) -> list[str]:
         """Return what stands against moving of what is known only in motor mode, or may have changed meanwhile."""
-        report, found = self.report, []
+        report = self.report
+        found = []
         found += [
             f"motor {JOINTS[j]} reports the error {int(bits):#x}" for j, bits in enumerate(report["faults"]) if bits
         ]
@@ -335,11 +358,14 @@ class BoardDriver:
 
     def checks(self, options: CheckOptions) -> list[Check]:
         """Check a robot by listening to it; nothing moves."""
-        description, suspended = self._description, options.suspended
+        description = self._description
+        suspended = options.suspended
         self.listen(self.now() + 0.02)
-        begin, before = self.now(), self.counts()
+        begin = self.now()
+        before = self.counts()
         self.listen(begin + LISTEN)
-        last, seconds = self.report, self.now() - begin
+        last = self.report
+        seconds = self.now() - begin
         found = [Check(name="network", verdict="ok", text=self.network)]
         if last["heard"] < begin:
             text = f"no message came from the robot; {self.asleep}"
@@ -354,7 +380,8 @@ class BoardDriver:
         if last["imu_came"] == NEVER:
             found.append(Check(name="IMU", verdict="stop", text="the robot sends no orientation"))
         else:
-            quat, omega = np.array(last["quat_WB"]), np.array(last["omega_B"])
+            quat = np.array(last["quat_WB"])
+            omega = np.array(last["omega_B"])
             text = f"turns at {np.linalg.norm(omega):.3f} rad/s"
             found += imu_checks(quat, omega, q, description, suspended=suspended, text=text)
         return [*found, *more]

@@ -110,7 +110,8 @@ def _joint_fields(raw: Mapping[str, Any], board: str) -> dict[str, Any]:
     legs = raw.get("legs")
     if not isinstance(legs, list) or sorted(map(str, legs)) != sorted(LEGS):
         raise ConfigError(f"legs is {legs!r}; expected {', '.join(LEGS)} in the order of the messages")
-    sign, offset = numbers(raw, "sign"), numbers(raw, "offset")
+    sign = numbers(raw, "sign")
+    offset = numbers(raw, "offset")
     if any(value not in (-1.0, 1.0) for value in sign):
         raise ConfigError(f"sign is {sign}; expected 1 or -1 for {', '.join(PARTS)}")
     order = raw.get("quat")

@@ -45,12 +45,15 @@ class Robot:
             description: The robot.
             suspended: The robot hangs in the air instead of lying on the floor.
         """
-        self.link, self.description, self._suspended = link, description, suspended
+        self.link = link
+        self.description = description
+        self._suspended = suspended
         self.report: Any = no_report()
         """Newest report of the sender; a scalar of REPORT."""
         self._samples: list[Any] = []
         self._missed = np.zeros(len(JOINTS), dtype=np.int64)
-        self._err_flag, self._gap = 0, 0.0
+        self._err_flag = 0
+        self._gap = 0.0
         self._began = self._ended = self._due = link.now()
         self._busy: FloatArray | None = None
         self._started = self._damps = False
@@ -66,12 +69,16 @@ class Robot:
             PlantError: If the robot does not follow, or something stands against moving.
             BusError: If a bus fails.
         """
-        link, d = self.link, self.description
-        self._started, self._damps, self._command = True, False, None
+        link = self.link
+        d = self.description
+        self._started = True
+        self._damps = False
+        self._command = None
         link.start(suspended=self._suspended)
         self._missed[:] = 0
         self._began = self._ended = self._due = link.now()
-        self.report["t"], self._busy = self._began, None
+        self.report["t"] = self._began
+        self._busy = None
         return self.step(idle_command(np.clip(self.report["q"], d.q_min, d.q_max))).state
 
     def step(self, command: JointCommand, dt: float | None = None, joints: Sequence[int] = ALL) -> Tick:
@@ -85,7 +92,8 @@ class Robot:
         Raises:
             SenderError: If the sender has ended, hangs, does not obey, or has damped the robot by itself.
         """
-        link, dt = self.link, self.description.dt if dt is None else dt
+        link = self.link
+        dt = self.description.dt if dt is None else dt
         asked = link.now()
         compute = asked - self._ended
         if not self._damps:
@@ -94,7 +102,8 @@ class Robot:
         self._due += dt
         self._take(link.wait(max(self._due, asked + ANSWERS)))
         now = link.now()
-        late, self._ended = now - self._due, now
+        late = now - self._due
+        self._ended = now
         if late > dt:
             self._due = now  # missed time is not caught up
         if link.problem and not self._damps:
@@ -118,7 +127,8 @@ class Robot:
     def damp(self) -> bool:
         """Have the robot damped for good, by one message; return False once the sender has left it."""
         if self._started and not self._damps:
-            self._damps, self._strays_since = True, np.inf
+            self._damps = True
+            self._strays_since = np.inf
             self.link.damp()
         return self._started and not self.link.left
 
@@ -128,7 +138,8 @@ class Robot:
         Raises:
             SenderError: If it has not for DEVIATES.
         """
-        before, self._command = self._command, command
+        before = self._command
+        self._command = command
         strays = self._strays(command, before or command, joints, sent_before)
         self._strays_since = min(self._strays_since, asked) if strays else np.inf
         seconds = self.link.now() - self._strays_since
@@ -138,7 +149,8 @@ class Robot:
 
     def _strays(self, command: JointCommand, before: JointCommand, joints: list[int], sent_before: int) -> str:
         """Return what the sender does instead of what it was ordered; empty where it obeys."""
-        report, (stiffer, away) = self.report, ROUNDED
+        report = self.report
+        (stiffer, away) = ROUNDED
         if report["state"] >= State.ENDING:
             return ""
         if report["sent"] <= sent_before:
@@ -149,7 +161,8 @@ class Robot:
         if self._damps:
             return ""
         first = before.q_des if command.ramp > 0.0 else command.q_des
-        low, high = np.minimum(first, command.q_des) - away, np.maximum(first, command.q_des) + away
+        low = np.minimum(first, command.q_des) - away
+        high = np.maximum(first, command.q_des) + away
         q = report["q_sent"]
         wrong = (q < low) | (q > high)
         return "has sent other targets than it was ordered" if wrong[joints].any() else ""
@@ -165,7 +178,9 @@ class Robot:
 
     def _take(self, reports: Sequence[Any]) -> None:
         """Keep the newest report, and what must not be missed of the others."""
-        self._err_flag, self._gap, self._samples = 0, 0.0, []
+        self._err_flag = 0
+        self._gap = 0.0
+        self._samples = []
         for report in reports:
             if report["readings"] > self.report["readings"]:
                 self._samples.append(report)
@@ -188,7 +203,8 @@ class Robot:
 
     def state(self, since: float | FloatArray) -> RobotState:
         """Return the state, with NaN for joints that have said nothing after a time [s], or one time each (12,)."""
-        report, nothing = self.report, np.full(3, np.nan)
+        report = self.report
+        nothing = np.full(3, np.nan)
         said = report["came"] > since
         return RobotState(
             t=self._ended - self._began,

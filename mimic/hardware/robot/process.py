@@ -51,8 +51,15 @@ READ_WITHIN = 1.0
 BEHIND = 0.1
 """A computer whose clocks part by more than this has slept [s]."""
 
-_ORDER, _CHECK, _START, _DAMP = b"O", b"C", b"S", b"D"
-_REPORT, _ANSWER, _ERROR, _TAKEN_OVER, _ENDING = b"R", b"A", b"E", b"D", b"T"
+_ORDER = b"O"
+_CHECK = b"C"
+_START = b"S"
+_DAMP = b"D"
+_REPORT = b"R"
+_ANSWER = b"A"
+_ERROR = b"E"
+_TAKEN_OVER = b"D"
+_ENDING = b"T"
 
 _LARGEST = 1 << 17
 
@@ -155,7 +162,8 @@ class SenderProcess:
             ConfigError, AssetError, BusError, MissingExtra: If the robot cannot be opened.
             PlantError: If the process does not start.
         """
-        self._settings, self._description = settings, description
+        self._settings = settings
+        self._description = description
         load_driver(settings)
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-m", "mimic.hardware.robot.process"]
@@ -166,10 +174,13 @@ class SenderProcess:
         theirs.close()
         self._ours.setblocking(False)
         self._reports: list[Any] = []
-        self._state, self._lost, self._started = State.LISTEN, False, False
+        self._state = State.LISTEN
+        self._lost = False
+        self._started = False
         self._answer: Any = None
         self._failure: tuple[str, str] | None = None
-        self._taken_over, self._damps = "", False
+        self._taken_over = ""
+        self._damps = False
         self._ending: str | None = None
         self._heard = time.monotonic()
         try:
@@ -212,7 +223,8 @@ class SenderProcess:
         while self._answer is None and self._failure is None and not self._lost and time.monotonic() < end:
             self._read(0.1)
         if self._failure is not None:
-            (name, text), self._failure = self._failure, None
+            (name, text) = self._failure
+            self._failure = None
             raise _error(name, text)
         if self._answer is None:
             raise PlantError(f"the process that sends to the robot {'has ended' if self._lost else 'does not answer'}")
@@ -232,12 +244,13 @@ class SenderProcess:
 
     def wait(self, until: float) -> list[Any]:
         """Wait until a time [s], and return the reports that came."""
-        while (left := until - time.monotonic()) > 0.0 and (self._damps or not self.problem):
-            self._read(left)
+        while time.monotonic() < until and (self._damps or not self.problem):
+            self._read(max(until - time.monotonic(), 0.0))
             if self._lost and self._damps:
                 time.sleep(max(until - time.monotonic(), 0.0))
         self._read(0.0)
-        reports, self._reports = self._reports, []
+        reports = self._reports
+        self._reports = []
         return reports
 
     def _read(self, timeout: float) -> None:
@@ -257,7 +270,8 @@ class SenderProcess:
                 self._lost = True
                 return
             self._heard = time.monotonic()
-            kind, content = data[:1], data[1:]
+            kind = data[:1]
+            content = data[1:]
             if kind == _REPORT:
                 report = np.frombuffer(content, REPORT)[0]
                 self._state = State(int(report["state"]))
@@ -432,9 +446,11 @@ def main(arguments: list[str]) -> int:
     """Serve the socket in the first argument with the robot of the settings in the second."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    orders, settings = socket.socket(fileno=int(arguments[0])), DriverSettings(**json.loads(arguments[1]))
+    orders = socket.socket(fileno=int(arguments[0]))
+    settings = DriverSettings(**json.loads(arguments[1]))
     orders.setblocking(False)
-    opened, description = load_driver(settings), load_description(settings.robot)
+    opened = load_driver(settings)
+    description = load_description(settings.robot)
     with real_time(SENDER, inherited=True):  # also for the threads in which a bus receives
         try:
             driver = opened(settings)

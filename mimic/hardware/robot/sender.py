@@ -78,7 +78,8 @@ class Order:
         """Return it as bytes."""
         c = self.command
         numbers = np.zeros((6, len(JOINTS)))
-        numbers[:5], numbers[5, :2] = (c.q_des, c.dq_des, c.kp, c.kd, c.tau_ff), (c.ramp, self.begin)
+        numbers[:5] = (c.q_des, c.dq_des, c.kp, c.kd, c.tau_ff)
+        numbers[5, :2] = (c.ramp, self.begin)
         return np.isin(ALL, self.joints).tobytes() + numbers.tobytes()
 
     @staticmethod
@@ -110,7 +111,9 @@ class Sender:
 
     def __init__(self, driver: Driver, description: RobotDescription) -> None:
         """Begin in LISTEN."""
-        self.driver, self._limits, self._description = driver, limits_for(description), description
+        self.driver = driver
+        self._limits = limits_for(description)
+        self._description = description
         self.state = State.LISTEN
         self.reason = ""
         """Why it took over from the control loop, as a sentence without its full stop; empty where it did not."""
@@ -151,7 +154,8 @@ class Sender:
         """Take an order; one that is not as it should be damps the robot, and one that is too old counts as none."""
         if self.state != State.DRIVE:
             return  # a robot that is damped is not driven again
-        now, c = self.driver.now(), order.command
+        now = self.driver.now()
+        c = order.command
         if abs(now - order.begin) > ORDER_TIMEOUT:
             return
         against = self._against(c)
@@ -159,7 +163,9 @@ class Sender:
             self.damp(against)
             return
         self._from = c if self._order is None or c.ramp <= 0.0 else self._part(now)
-        self._order, self._ordered, self._due = order, now, now
+        self._order = order
+        self._ordered = now
+        self._due = now
 
     def _against(self, c: JointCommand) -> str:
         """Return what stands against a command: its numbers, its gains or its step; empty where nothing does."""
@@ -180,7 +186,8 @@ class Sender:
     def finish(self) -> None:
         """Damp the robot until it rests, and switch it off; this is not taken back."""
         if self.state == State.LISTEN:
-            self.state, self.ending = State.DONE, "nothing was switched on"
+            self.state = State.DONE
+            self.ending = "nothing was switched on"
         elif self.state == State.DRIVE:
             self.damp("")
 
@@ -193,7 +200,8 @@ class Sender:
 
     def damp(self, reason: str) -> None:
         """Take over for a reason: damp from now on."""
-        self.state, self.reason = State.DAMP, reason
+        self.state = State.DAMP
+        self.reason = reason
         self._since = self._reached = self._rested = self._due = self.driver.now()
 
     def fail(self, reason: Exception) -> None:
@@ -247,7 +255,8 @@ class Sender:
             return None
         self._reported = now
         report = driver.report.copy()
-        report["t"], report["state"] = now, self.state
+        report["t"] = now
+        report["state"] = self.state
         return report
 
     def run(self) -> str:
@@ -273,11 +282,14 @@ class Sender:
             self._due = now + self._pause
             ending = self.driver.end(since=self._since, rested=self._rests)
             if ending is not None:
-                self.state, self.ending, self._due = State.DONE, ending, np.inf
+                self.state = State.DONE
+                self.ending = ending
+                self._due = np.inf
         self._fails_since = np.inf
 
     def _drive(self, now: float) -> None:
-        order, driver = self._order, self.driver
+        order = self._order
+        driver = self.driver
         assert order is not None
         command = order.command
         try:
@@ -293,7 +305,8 @@ class Sender:
         """Return the command of a message that holds for one period."""
         order = self._order
         assert order is not None
-        command, begin = order.command, self._from
+        command = order.command
+        begin = self._from
         moves = min(max(1.0 + KEEPS_MOVING - self._slot_end(now) / self._description.dt, 0.0), 1.0)
         if moves < 1.0:
             return replace(command, dq_des=moves * command.dq_des)
@@ -313,7 +326,8 @@ class Sender:
 
     def _due_late(self, due: float) -> float:
         """Return when a motor that keeps its command needs another part, once all parts of the order are out [s]."""
-        order, dt = self._order, self._description.dt
+        order = self._order
+        dt = self._description.dt
         assert order is not None
         fades = order.begin + KEEPS_MOVING * dt
         moves = order.command.dq_des.any() and due < fades + dt - 0.5 * self.driver.period
@@ -327,14 +341,16 @@ class Sender:
 
     def _settle(self, now: float) -> None:
         """End the damping once the robot rests, or after the longest time for it."""
-        limits, lost = self._limits, self.driver.lost
+        limits = self._limits
+        lost = self.driver.lost
         self._reached = now if lost else self._reached
         if not self.driver.speed() < limits.rest_speed:
             self._rested = now
         self._rests = now - self._rested >= limits.rest_seconds
         given_up = lost and now - self._since >= GIVE_UP
         if self._rests or given_up or now - self._reached >= limits.damp_seconds:
-            self.state, self._since = State.ENDING, now
+            self.state = State.ENDING
+            self._since = now
 
 
 def _place(reason: Exception) -> str:

@@ -77,7 +77,8 @@ class StockDriver(BoardDriver):
         """Take an open bus; nothing is sent. See `mimic.hardware.robot.board.BoardDriver`."""
         readings = Readings(wiring)
         super().__init__(bus, wiring, description, readings, network=network, torque_limit=torque_limit)
-        self._board, self._wiring = readings, wiring
+        self._board = readings
+        self._wiring = wiring
         self._own: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._own_set: dict[bytes, int] = {}
         # tells own zero messages from others'; NumPy's generators take 40 ms to load, while a robot must be damped
@@ -157,7 +158,9 @@ class StockDriver(BoardDriver):
     # ------------------------------------------------------------------ messages
 
     def _followed(self, command: JointCommand, kp: FloatArray, kd: FloatArray) -> tuple[FloatArray, ...]:
-        q, target, room = self.report["q"], command.q_des, self._wiring.cut - self._wiring.cut_margin
+        q = self.report["q"]
+        target = command.q_des
+        room = self._wiring.cut - self._wiring.cut_margin
         near = np.where(np.isfinite(q), np.clip(target, q - room, q + room), target)
         rest = kp * (target - near)
         by_velocity = kd >= _SMALL_KD

@@ -93,7 +93,8 @@ class LcmBus(Bus):
                         bus.subscribe(channel, take).set_queue_capacity(QUEUE)
             except (RuntimeError, OSError) as reason:
                 raise BusError(f"LCM cannot be opened at {wiring.address}:{port}: {reason}") from None
-        self._port, self._state_port = wiring.port, wiring.state_port
+        self._port = wiring.port
+        self._state_port = wiring.state_port
         self._sources = {bus.fileno(): bus.handle for bus in self._ports.values()}
 
     def publish(self, channel: str, data: bytes) -> None:

@@ -125,9 +125,12 @@ TYPES: Mapping[str, MessageType] = {
 }
 """Channel -> its type."""
 
-LOST, TIMED_OUT, CUT = 0x01, 0x02, 0x1C
-"""Bits of err_flag: a command later than 10 ms; none for 500 ms, so that commands are ignored until it is cleared;
-desired positions that were cut (of the last leg only)."""
+LOST = 0x01
+"""Bit of err_flag: a command came later than 10 ms."""
+TIMED_OUT = 0x02
+"""Bit of err_flag: none came for 500 ms, so that commands are ignored until it is cleared."""
+CUT = 0x1C
+"""Bits of err_flag: desired positions were cut (of the last leg only)."""
 
 MOTOR_ERRORS = 0x3FFFFFFF
 """Bits of a motor's flags that mean an error. Source: MiRoboticsLab/cyberdog_motor_sdk, its own loop."""

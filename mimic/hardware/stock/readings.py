@@ -31,7 +31,8 @@ class Readings(BoardReadings):
 
     def __init__(self, wiring: BoardWiring) -> None:
         super().__init__(wiring)
-        self._unit, self._index = wiring.temperature_unit, wiring.index
+        self._unit = wiring.temperature_unit
+        self._index = wiring.index
         self.commanded = NEVER
         """When the board last spoke of the commands that it gets [s]."""
 
@@ -52,30 +53,37 @@ class Readings(BoardReadings):
         elif channel == LEG_CONTROL_DATA.channel:
             self._joints(message)
         elif channel == STATE_ESTIMATOR.channel:
-            quat, omega = message["quat"].astype(np.float64), message["omegaBody"].astype(np.float64)
+            quat = message["quat"].astype(np.float64)
+            omega = message["omegaBody"].astype(np.float64)
             self.take_orientation(quat, omega, t)
         elif channel == MOTOR_CTRL_STATE.channel:
             self._commands(message, t)
 
     def _commands(self, message: Any, t: float) -> None:
-        report, interval = self.report, float(message["ctrl_topic_interval"])
+        report = self.report
+        interval = float(message["ctrl_topic_interval"])
         if not np.isfinite(interval):
             report["errors"] += 1
             return
-        report["err_flag"], self.commanded = int(message["err_flag"]) & 0xFFFF, t
+        report["err_flag"] = int(message["err_flag"]) & 0xFFFF
+        self.commanded = t
         report["gap"] = 1e-3 * interval
 
     def _motors(self, message: Any, t: float) -> None:
-        wiring, report = self._wiring, self.report
+        wiring = self._wiring
+        report = self.report
 
         def by_leg(name: str) -> Any:
             return np.stack([message[f"{name}_{part}"] for part in PARTS], axis=1).reshape(len(JOINTS))
 
-        q, dq, tau = wiring.angles(by_leg("q")), wiring.joints(by_leg("qd")), wiring.joints(by_leg("tau"))
+        q = wiring.angles(by_leg("q"))
+        dq = wiring.joints(by_leg("qd"))
+        tau = wiring.joints(by_leg("tau"))
         temperature = self._unit * by_leg("tmp").astype(np.float64)[self._index]
         if self.take_motors(q, dq, tau, temperature, t):
             flags = message["flags"].astype(np.int64)[self._index] & 0xFFFFFFFF
-            report["faults"], report["running"] = flags & MOTOR_ERRORS, flags >> 30 == MOTOR_RUNNING
+            report["faults"] = flags & MOTOR_ERRORS
+            report["running"] = flags >> 30 == MOTOR_RUNNING
 
     def _joints(self, message: Any) -> None:
         self.joints += 1

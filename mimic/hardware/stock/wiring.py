@@ -51,7 +51,8 @@ def load_board(path: Path | None = None) -> BoardWiring:
 
 def _own_fields(raw: Mapping[str, Any]) -> dict[str, Any]:
     limits = table(raw, "limits", "the file")
-    margin, cut = number(limits, "cut_margin", "[limits]"), numbers(limits, "cut")
+    margin = number(limits, "cut_margin", "[limits]")
+    cut = numbers(limits, "cut")
     if min(cut) <= margin or margin < 0.0:
         raise ConfigError(f"cut_margin of [limits] is {margin:g} rad; expected less than each cut: {cut}")
     return {

@@ -10,13 +10,19 @@ import numpy as np
 from mimic.records import SIDES, FloatArray
 from mimic.sources.mocap.points import Points
 
-LONGER, SHORTER = 1.6, 0.2
-"""A bone this many times as long as usual has an end where nothing was seen. Of two men seen by four cameras it was
-1.46 times as long at most, but once; of people seen by one, 1.41."""
-FIRST, BESIDE = 5, 8
-"""Rows at the beginning in which a pose before the motion may end, and steps that its end is compared with."""
-LEAP, ALONE = 0.15, 4.0
-"""There a wrist leaps by this much at once [arm lengths], and this many times as far as in any step beside it."""
+LONGER = 1.6
+"""A bone longer than this many times the usual has an end where nothing was seen. Of two men seen by four cameras it
+was 1.46 times as long at most, but once; of people seen by one, 1.41."""
+SHORTER = 0.2
+"""… and so has one shorter than this many times the usual."""
+FIRST = 5
+"""Rows at the beginning in which a pose before the motion may end."""
+BESIDE = 8
+"""Steps that its end is compared with."""
+LEAP = 0.15
+"""There a wrist leaps by this much at once [arm lengths]."""
+ALONE = 4.0
+"""… and this many times as far as in any step beside it."""
 SLOWEST = 0.07
 """Rows farther apart say nothing about a leap [s]."""
 BENT = 0.03

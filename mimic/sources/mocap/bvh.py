@@ -53,7 +53,8 @@ class _Words:
     def number(self, expected: str, word: str | None = None) -> float:
         word = word or self.next(expected)
         with suppress(ValueError):
-            if math.isfinite(value := float(word)):
+            value = float(word)
+            if math.isfinite(value):
                 return value
         raise self.wrong(repr(word), expected)
 
@@ -110,7 +111,7 @@ def _hierarchy(words: _Words) -> list[_Joint]:
         kind = word.upper()
         if kind in ("ROOT", "JOINT"):
             joints.append(_Joint(words.next("a name"), open_ones[-1] if open_ones else -1))
-            while (more := words.next("{")) != "{":
+            for more in iter(lambda: words.next("{"), "{"):
                 joints[-1].name += f" {more}"
             open_ones.append(len(joints) - 1)
         elif kind == "END":
@@ -122,11 +123,8 @@ def _hierarchy(words: _Words) -> list[_Joint]:
             if open_ones and open_ones[-1] != end_site:
                 joints[open_ones[-1]].offset = offset
         elif kind == "CHANNELS":
-            for _ in range(int(words.number("the number of channels"))):
-                channel = words.next("a channel")
-                if channel.lower() not in _CHANNELS or not open_ones or open_ones[-1] == end_site:
-                    raise words.wrong(repr(channel), "a channel such as Xrotation inside a joint")
-                joints[open_ones[-1]].channels.append(_CHANNELS[channel.lower()])
+            inside = joints[open_ones[-1]] if open_ones and open_ones[-1] != end_site else None
+            _read_channels(words, inside)
         elif word == "}" and open_ones:
             open_ones.pop()
         elif kind == "MOTION" and not open_ones and joints:
@@ -136,11 +134,21 @@ def _hierarchy(words: _Words) -> list[_Joint]:
     raise words.wrong("the end of the file", "MOTION")
 
 
+def _read_channels(words: _Words, joint: _Joint | None) -> None:
+    for _ in range(int(words.number("the number of channels"))):
+        channel = words.next("a channel")
+        if channel.lower() not in _CHANNELS or joint is None:
+            raise words.wrong(repr(channel), "a channel such as Xrotation inside a joint")
+        joint.channels.append(_CHANNELS[channel.lower()])
+
+
 def _header(words: _Words) -> tuple[int, float]:
-    if (word := words.next("Frames:")).lower() != "frames:":
+    word = words.next("Frames:")
+    if word.lower() != "frames:":
         raise words.wrong(repr(word), "Frames:")
     announced = int(words.number("the number of frames"))
-    if (pair := f"{words.next('Frame')} {words.next('Time:')}").lower() != "frame time:":
+    pair = f"{words.next('Frame')} {words.next('Time:')}"
+    if pair.lower() != "frame time:":
         raise words.wrong(repr(pair), "Frame Time:")
     return announced, words.number("the time of a frame")
 
@@ -184,9 +192,11 @@ def _positions(joints: list[_Joint], values: FloatArray, added: bool) -> FloatAr
     from scipy.spatial.transform import Rotation
 
     places = np.empty((len(values), len(joints), 3))
-    columns, turned = iter(values.T), list[Rotation]()
+    columns = iter(values.T)
+    turned = list[Rotation]()
     for index, joint in enumerate(joints):
-        moved, turn = np.tile(joint.offset, (len(values), 1)), Rotation.identity(len(values))
+        moved = np.tile(joint.offset, (len(values), 1))
+        turn = Rotation.identity(len(values))
         for kind, axis in joint.channels:
             column = next(columns)
             if kind == "position":

@@ -93,7 +93,8 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
         )
     mirrored, sides = handedness(replace(named, xyz=xyz))
     xyz = xyz * (-1.0 if mirrored else 1.0, 1.0, 1.0)
-    seen, no_cuts = np.where(valid[..., None], xyz, np.nan), np.zeros(0, dtype=np.int64)
+    seen = np.where(valid[..., None], xyz, np.nan)
+    no_cuts = np.zeros(0, dtype=np.int64)
     smoothed = [smooth(t, column, no_cuts, settings.cutoff_hz) for column in np.moveaxis(seen, 1, 0)]
     return PoseTrack(
         t=t,
@@ -164,7 +165,8 @@ def _up(named: Points, asked: str, path: Path) -> tuple[str, tuple[str, ...]]:
 
     The user is believed, then the body, then the file.
     """
-    trunk, header = _trunk(named), named.up
+    trunk = _trunk(named)
+    header = named.up
     if asked == "auto" and header is not None and (trunk is None or np.dot(trunk, _UP[header]) > 1 - CLEARLY):
         return header, ()
     if asked != "auto":
@@ -211,8 +213,9 @@ def _unit(named: Points, path: Path) -> tuple[str, float, tuple[str, ...]]:
     """
     given = named.unit
     joints = [part for part in ("shoulder", "elbow", "wrist") if f"left_{part}" in named.names]
-    chains = [[named.names.index(f"{side}_{part}") for part in joints] for side in SIDES]
-    arms = np.linalg.norm(np.diff(named.xyz[:, chains], axis=2), axis=-1).sum(axis=2)
+    chains = [named.names.index(f"{side}_{part}") for side in SIDES for part in joints]
+    places = named.xyz[:, chains].reshape(-1, len(SIDES), len(joints), 3)
+    arms = np.linalg.norm(np.diff(places, axis=2), axis=-1).sum(axis=2)
     known = arms[np.isfinite(arms)]
     if not len(known):
         return given or "m", UNITS[given or "m"], ()

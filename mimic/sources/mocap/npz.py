@@ -44,7 +44,8 @@ def read_npz(path: Path, settings: MocapSettings) -> Points:
     if given.dtype.kind not in "fiu" or given.ndim != 3 or given.shape[2] != 3 or not len(given):
         raise SourceError(f"'{name}' in {path.name} has shape {given.shape}; expected numbers (T, N, 3)")
     xyz = np.array(given, dtype=np.float64)
-    rows, count = len(xyz), xyz.shape[1]
+    rows = len(xyz)
+    count = xyz.shape[1]
     names = _names(arrays, count, settings, path)
     score = next((arrays[key] for key in VISIBILITY if key in arrays), np.ones((rows, count)))
     if score.shape != (rows, count):

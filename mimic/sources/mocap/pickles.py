@@ -84,7 +84,8 @@ class _JoblibArray:
     state: dict[str, Any]
 
     def read(self, file: io.BytesIO) -> np.ndarray:
-        dtype, shape = _dtype(self.state["dtype"]), tuple(int(n) for n in self.state["shape"])
+        dtype = _dtype(self.state["dtype"])
+        shape = tuple(int(n) for n in self.state["shape"])
         if self.state.get("numpy_array_alignment_bytes") is not None:
             file.read(file.read(1)[0])  # padding
         size = int(np.prod(shape, dtype=object)) * dtype.itemsize
@@ -103,7 +104,9 @@ _STORAGES = {
 
 def _tensor(storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any) -> np.ndarray:
     """Rebuild a tensor as an array."""
-    offset, size, stride = int(offset), tuple(map(int, size)), tuple(map(int, stride))  # NumPy's would overflow
+    offset = int(offset)
+    size = tuple(map(int, size))
+    stride = tuple(map(int, stride))  # NumPy's would overflow
     last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
     if min((*size, *stride, offset, 0)) < 0 or (0 not in size and last >= len(storage)):
         raise ValueError("a tensor is larger than its storage")
@@ -163,7 +166,8 @@ class _Reader(pickle._Unpickler):  # the Python one: joblib's arrays follow thei
 
     def __init__(self, file: io.BytesIO, storages: Callable[[Any], np.ndarray] | None = None) -> None:
         super().__init__(file, encoding="latin1")
-        self.file, self.storages = file, storages
+        self.file = file
+        self.storages = storages
 
     def find_class(self, module: str, name: str) -> Any:
         full = f"{module}.{name}"
@@ -191,7 +195,8 @@ class _Reader(pickle._Unpickler):  # the Python one: joblib's arrays follow thei
             given.__setstate__(state[:8])  # pyrefly: ignore[missing-attribute]  # not in its stubs
         elif isinstance(given, np.ndarray):
             _, shape, dtype, _, data = state
-            sizes, size = [int(n) for n in shape], _dtype(dtype).itemsize
+            sizes = [int(n) for n in shape]
+            size = _dtype(dtype).itemsize
             if min((0, *sizes)) < 0 or not isinstance(data, bytes | str) or size * math.prod(sizes) != len(data):
                 raise _NotPlain("an array of another size than its bytes")
             given.__setstate__(state)

@@ -58,7 +58,7 @@ Markers on the skin lie beside their joint. OpenCap: Uhlrich et al., PLOS Comput
 
 def _scheme(left: str, right: str, *patterns: str) -> dict[str, tuple[str, ...]]:
     return {
-        f"{side}_{limb}": tuple(name.format(own) for name in pattern.split("+"))
+        f"{side}_{limb}": tuple(pattern.replace("{}", own).split("+"))
         for limb, pattern in zip(_LIMBS, patterns, strict=False)
         for side, own in (("left", left), ("right", right))
         if pattern != "-"
@@ -173,40 +173,54 @@ def recognise(names: Sequence[str], asked: Scheme) -> tuple[str, list[Columns]]:
     Raises:
         SourceError: If shoulders and wrists cannot be found.
     """
+    column = _columns(names)
+    unknown = [name for theirs in asked.values() for name in theirs if _plain(name) not in "\n".join(column)]
+    if unknown:
+        raise SourceError(f"[mocap] names asks for {', '.join(unknown)}; the file has {_some(names)}")
+    fits = {name: _skeletons({**scheme, **asked}, asked, column) for name, scheme in SCHEMES.items()}
+    best = max(fits, key=lambda name: (set(NEEDED) <= fits[name][0].keys(), len(fits[name][0])))
+    lacking = [name for name in NEEDED if name not in fits[best][0]]
+    if lacking:
+        raise SourceError(
+            f"no {', '.join(lacking)} among the names of the file ({_some(names)}); the schemes {', '.join(SCHEMES)} "
+            'are known; map others with [mocap] names = ["left_wrist=…", …] in --config'
+        )
+    return best, fits[best]
+
+
+def _columns(names: Sequence[str]) -> dict[str, int]:
+    """Return the column of each name, without separators; repeated names differ by ``#`` behind them."""
     column: dict[str, int] = {}
     for i, name in enumerate(names):
         key = _plain(name)
         while key in column:
             key += "#"
         column[key] = i
+    return column
 
-    def found(scheme: Scheme, before: str = "", after: str = "") -> Columns:
-        own = {
-            ours: [
-                column.get(before + _plain(n) + after, column.get(_plain(n)) if ours in asked else None) for n in theirs
-            ]
-            for ours, theirs in scheme.items()
-        }
-        return {ours: tuple(c for c in at if c is not None) for ours, at in own.items() if None not in at}
 
-    def skeletons(scheme: Scheme) -> list[Columns]:
-        arms = [_plain(scheme[part][0]) for part in NEEDED]
-        around = {tuple(key.split(own, 1)) for key in column for own in arms if own in key}
-        here = [found(scheme, *ends) for ends in sorted(around)] or [found(scheme)]
-        whole = [one for one in here if set(NEEDED) <= one.keys()]
-        return sorted(whole or [max(here, key=len)], key=lambda one: min(min(at) for at in one.values()) if one else 0)
+def _skeletons(scheme: Scheme, asked: Scheme, column: Mapping[str, int]) -> list[Columns]:
+    """Return the columns of each skeleton that a scheme finds, of the fullest one where none is whole."""
+    arms = [_plain(scheme[part][0]) for part in NEEDED]
+    around = {tuple(key.split(own, 1)) for key in column for own in arms if own in key}
+    here = [_found(scheme, asked, column, *ends) for ends in sorted(around)] or [_found(scheme, asked, column)]
+    whole = [one for one in here if set(NEEDED) <= one.keys()]
+    return sorted(whole or [max(here, key=len)], key=_first_column)
 
-    unknown = [name for theirs in asked.values() for name in theirs if not any(_plain(name) in key for key in column)]
-    if unknown:
-        raise SourceError(f"[mocap] names asks for {', '.join(unknown)}; the file has {_some(names)}")
-    fits = {name: skeletons({**scheme, **asked}) for name, scheme in SCHEMES.items()}
-    best = max(fits, key=lambda name: (set(NEEDED) <= fits[name][0].keys(), len(fits[name][0])))
-    if lacking := [name for name in NEEDED if name not in fits[best][0]]:
-        raise SourceError(
-            f"no {', '.join(lacking)} among the names of the file ({_some(names)}); the schemes {', '.join(SCHEMES)} "
-            'are known; map others with [mocap] names = ["left_wrist=…", …] in --config'
-        )
-    return best, fits[best]
+
+def _found(scheme: Scheme, asked: Scheme, column: Mapping[str, int], before: str = "", after: str = "") -> Columns:
+    """Return the columns of the landmarks that a scheme finds whole among names with this before and after them."""
+    found = {}
+    for ours, theirs in scheme.items():
+        plain = [_plain(name) for name in theirs]
+        at = [column.get(before + name + after, column.get(name) if ours in asked else None) for name in plain]
+        if None not in at:
+            found[ours] = tuple(index for index in at if index is not None)
+    return found
+
+
+def _first_column(found: Columns) -> int:
+    return min(map(min, found.values()), default=0)
 
 
 def _plain(name: str) -> str:

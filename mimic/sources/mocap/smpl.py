@@ -144,7 +144,8 @@ def _matrices(given: Any, name: str, path: Path) -> FloatArray:
             f"{path.name}: '{name}' has shape {array.shape}; expected axis angles (T, 3 N) or matrices (T, N, 3, 3)"
         )
     array = np.asarray(array, dtype=np.float64)
-    if len(rows := np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))):
+    rows = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+    if len(rows):
         raise SourceError(f"{path.name}: '{name}' is not a number in row {rows[0] + 1}; cut these rows")
     if matrices:
         skewed = np.abs(array @ array.swapaxes(-1, -2) - np.eye(3)).max(axis=(-1, -2)) > SKEWED
@@ -235,16 +236,12 @@ def _humans4d(data: dict[Any, Any]) -> _People:
         for who, body in zip(ids if ids is not None else (), bodies if bodies is not None else (), strict=False):
             if isinstance(body, dict) and {"global_orient", "body_pose"} <= body.keys():
                 tracks.setdefault(who, []).append((number, body))
-    return {
-        who: {
-            "frames": [number for number, _ in rows],
-            **{
-                part: np.stack([np.asarray(body[part]).reshape(-1, 3, 3) for _, body in rows])
-                for part in ("global_orient", "body_pose")
-            },
-        }
-        for who, rows in tracks.items()
-    }
+    people: dict[Any, dict[str, Any]] = {}
+    for who, rows in tracks.items():
+        people[who] = {"frames": [number for number, _ in rows]}
+        for part in ("global_orient", "body_pose"):
+            people[who][part] = np.stack([np.asarray(body[part]).reshape(-1, 3, 3) for _, body in rows])
+    return people
 
 
 _PROGRAMS: tuple[tuple[str, Callable[[dict[Any, Any]], _People]], ...] = (

@@ -26,12 +26,14 @@ def violations(motion: KeyFrames, reach: Reach, max_seconds: float) -> list[str]
     errors = []
     if motion.seconds > max_seconds:
         errors.append(f"the motion takes {motion.seconds:g} s in all; at most {max_seconds:g} s are played")
-    q, heading = reach.description.poses["upright"][:FRONT], 0.0
+    q = reach.description.poses["upright"][:FRONT]
+    heading = 0.0
     for number, frame in enumerate(motion.frames, 1):
         where = f"frame {number}"
         if not frame.duration >= MIN_DURATION:
             errors.append(f"{where}: duration is {frame.duration:g} s; it must be at least {MIN_DURATION:g} s")
-        commands, turn = reach.description.commands, abs(frame.heading - heading)
+        commands = reach.description.commands
+        turn = abs(frame.heading - heading)
         for name, value, most in zip(("forward", "left"), frame.velocity, commands.velocity, strict=True):
             if abs(value) > most + 1e-6:
                 errors.append(f"{where}: velocity {name} is {value:g} m/s; it must be within ±{most:g}")
@@ -43,7 +45,8 @@ def violations(motion: KeyFrames, reach: Reach, max_seconds: float) -> list[str]
             )
         inside = [f"{where}: {text}" for text in _angles(frame.q, reach)]
         errors += inside or [f"{where}: {text}" for text in _path(q, frame.q, frame.duration, reach)]
-        q, heading = frame.q, frame.heading
+        q = frame.q
+        heading = frame.heading
     return errors
 
 
@@ -56,7 +59,10 @@ def _angles(q: FloatArray, reach: Reach) -> list[str]:
                 f"{name} is {np.degrees(value):.0f} deg; "
                 f"it must be from {np.degrees(low):.0f} to {np.degrees(high):.0f} deg"
             )
-    if not errors and (gap := reach.gap(q)) < reach.clearance - ROUNDING:
+    if errors:
+        return errors
+    gap = reach.gap(q)
+    if gap < reach.clearance - ROUNDING:
         errors.append(
             f"the front legs come within {100 * max(gap, 0.0):.1f} cm of each other or of the body; "
             f"{100 * reach.clearance:.1f} cm must stay free: turn the abad joints outward or lift the toes"

@@ -22,10 +22,14 @@ from mimic.sources.text.meaning import Action, parse
 STEP_LENGTH = 0.25  # [m]
 WALK_METRES = 0.5  # unless a distance, a time or a speed is said [m]
 WALK_SPEED = {"forward": 0.25, "back": 0.15}  # unless another is said; the shipped policy walks back with 0.18 [m/s]
-START_SECONDS, REVERSE_SECONDS = 0.75, 1.65  # what a walk takes beside its distance: to get going, to turn back [s]
-STOP_SECONDS, HOLD_SECONDS = 0.5, 1.0  # default durations [s]
-MOVE_SECONDS, PUNCH_SECONDS = 0.8, 0.35  # from one arm posture to the next; a punch out, and its way back [s]
-TURN_RATE, FASTEST_TURN = math.radians(30), 1.1  # default turning rate [rad/s]; largest factor on it
+START_SECONDS = 0.75
+REVERSE_SECONDS = 1.65  # what a walk takes beside its distance: to get going, to turn back [s]
+STOP_SECONDS = 0.5
+HOLD_SECONDS = 1.0  # default durations [s]
+MOVE_SECONDS = 0.8
+PUNCH_SECONDS = 0.35  # from one arm posture to the next; a punch out, and its way back [s]
+TURN_RATE = math.radians(30)
+FASTEST_TURN = 1.1  # default turning rate [rad/s]; largest factor on it
 
 STARTS = {verb: [("guard", MOVE_SECONDS)] for verb in ("punch", "hook", "uppercut")}
 CYCLES = {  # postures through which a gesture goes, with the time to each [s]
@@ -60,7 +64,8 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
     """
     home = reach.description.poses["upright"][:FRONT]
     hands = {"left": home[:3], "right": home[3:]}
-    heading, frames = 0.0, []
+    heading = 0.0
+    frames = []
     groups, typed = parse(sentence)
     for group in groups:
         timeline = _Timeline(before=frames[-1].velocity[0] if frames else 0.0)
@@ -114,7 +119,8 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
     cycle = [(name, seconds / action.speed) for name, seconds in CYCLES[action.verb]]
     if _in_guard(action, hands, reach):
         start = []
-    first, each = (sum(seconds for _, seconds in part) for part in (start, cycle))
+    first = sum(seconds for _, seconds in start)
+    each = sum(seconds for _, seconds in cycle)
     times = int(said.get("times", 2.0 if action.verb == "wave" else 1.0))
     if "seconds" in said and "times" not in said:
         times = max(1, round((said["seconds"] - first) / each))
@@ -177,7 +183,9 @@ def _who(action: Action) -> str:
 def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -> tuple[list[KeyFrame], float]:
     """Return a key frame for each moment at which the base or a hand changes; updates ``hands`` to where they end."""
     base = list(timeline.base)
-    moving = max((sum(duration for duration, _ in moves) for moves in timeline.hands.values()), default=0.0)
+    moving = 0.0
+    for moves in timeline.hands.values():
+        moving = max(moving, sum(duration for duration, _ in moves))
     lacking = moving - sum(part[0] for part in base)
     if base and timeline.hands and 0.0 < abs(lacking) < MIN_DURATION:  # both end together, as far as before
         seconds, forward, turn = base[-1]
@@ -194,10 +202,12 @@ def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -
     moments = np.unique(np.round(np.concatenate([ends, *(t[1:] for t, _ in tracks.values())]), 6))
     moments = moments[moments > 1e-6]
     gains = np.cumsum([0.0, *(part[2] for part in base)])
-    frames, before, what = [], 0.0, " while ".join(timeline.understood)
+    frames = []
+    before = 0.0
+    what = " while ".join(timeline.understood)
     for moment in moments:
         part = min(int(np.searchsorted(ends, moment - 1e-6)), len(base) - 1)
-        q = np.concatenate([[np.interp(moment, t, own[:, i]) for i in range(3)] for t, own in tracks.values()])
+        q = np.array([np.interp(moment, t, joint) for t, own in tracks.values() for joint in own.T])
         turned = float(np.interp(moment, [0.0, *ends], gains))
         frames.append(
             KeyFrame(

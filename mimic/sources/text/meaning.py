@@ -305,7 +305,8 @@ def _note_word(now: Clause, token: Token) -> None:
             now.ways.add("back" if token.type == "OUT" and now.rule == "step" else WAYS[token.type])
         now.last = ""
     elif token.type == "BACK_UP":
-        now.kind, now.ways = "WALK", now.ways | {"back"}
+        now.kind = "WALK"
+        now.ways = now.ways | {"back"}
     elif token.type in VERBS or token.type in (
         "TURN_AROUND",
         "GUARD",
@@ -369,7 +370,8 @@ class _Reader:
                 items[-1].add(item)
         groups: Groups = []
         for item in items:
-            first, last = item.clauses[0], item.clauses[-1]
+            first = item.clauses[0]
+            last = item.clauses[-1]
             if first.repeats:
                 groups += self._again(first, [*self.groups, *groups])
                 continue
@@ -429,7 +431,8 @@ class _Reader:
             value = f"{said.amounts[name]:g} {name}"
             raise said.error(f"has {value}, which can belong to {free[0].verb} before it, too; say it for each")
         for action in free:
-            action.amounts, action.stays = {name: said.amounts[name]}, said.stays
+            action.amounts = {name: said.amounts[name]}
+            action.stays = said.stays
 
     # ------------------------------------------------------------------ clauses with one verb
 
@@ -451,7 +454,7 @@ class _Reader:
                 own += new
         if len(own) > 1 and shared in ("seconds", "times") and not unit[-1].has("EACH"):
             unit[-1].refuse(shared == "seconds", "has one time for two things one after the other; say it for each")
-            own = [[replace(action, amounts={**action.amounts, "times": 1.0}) for action in group] for group in own]
+            own = [list(map(_once, group)) for group in own]
             rounds = int(unit[-1].amounts["times"])
         return [*groups, *(_apart(own * rounds, unit[-1].pause) if len(unit) > 1 else own)]
 
@@ -478,7 +481,8 @@ class _Reader:
     def _again(self, now: Clause, groups: Groups) -> Groups:
         """Return all groups once more, or as often as is said."""
         now.refuse(not groups, "has nothing to repeat")
-        times, more = now.amounts.get("times", 1.0), now.has("MORE")
+        times = now.amounts.get("times", 1.0)
+        more = now.has("MORE")
         unclear = len(groups) > 1 and now.kind != "REPEAT_ALL" and not now.has("TOTAL")
         now.refuse(unclear, "can mean all or the last thing; say repeat everything")
         unclear = times > 1 and not more and not now.has("TOTAL")
@@ -493,7 +497,8 @@ class _Reader:
 
     def _switch(self, now: Clause | None) -> Groups:
         """Return what a "switch" before this clause asks for: the same with the other hand, or only that hand next."""
-        pending, self.switched = self.switched, now is not None and now.kind == "SWITCH"
+        pending = self.switched
+        self.switched = now is not None and now.kind == "SWITCH"
         lasts = self.before is not None and self.before.verb in ("walk", *GESTURES) and not self.before.amounts
         if now is not None and now.rule == "still" and now.text.startswith("after"):
             now.refuse(lasts, "does not say for how long it goes on before; say it, then what comes next")
@@ -536,19 +541,22 @@ class _Reader:
             self.hands = action.sides
             self.at |= dict.fromkeys(action.sides, action.way)
         self.walk = action if action.verb in ("walk", "step") else self.walk
-        self.before, self.said = action, now
+        self.before = action
+        self.said = now
         return action
 
     def _inherit(self, now: Clause) -> None:
         """Find the verb of a clause without one: "left hand up", "then the right", "and half of that back"."""
-        before, said = self.before, self.said
+        before = self.before
+        said = self.said
         if now.ways and (now.has("HAND") or (now.has("LEFT", "RIGHT") and not (before and before.moves_base))):
             now.kind = "PUT"
             return
         if before is None or said is None:
             raise now.error(f"has no verb; begin with {VERBS_SAID}")
         if before.verb == "place" and now.ways and not now.has("HAND", "LEFT", "RIGHT"):
-            now.kind, now.words["HAND"] = "PUT", ["them"]
+            now.kind = "PUT"
+            now.words["HAND"] = ["them"]
             return
         self._go_on(now, before, said)
 
@@ -606,7 +614,8 @@ class _Reader:
 
     def _turn(self, now: Clause, speed: float) -> Action:
         sides = [kind.lower() for kind in ("LEFT", "RIGHT") for _ in now.words.get(kind, [])]
-        amounts, turns = dict(now.amounts), [*self.turns]
+        amounts = dict(now.amounts)
+        turns = [*self.turns]
         if "bare" in amounts:
             value = amounts.pop("bare")
             now.refuse(value < 10, f"has the number {value:g} without a unit; say degrees, steps or seconds")
@@ -621,7 +630,8 @@ class _Reader:
             amounts.setdefault("degrees", 360.0 * amounts.pop("times", 1.0))
         degrees = amounts.get("degrees")
         if now.ways == {"back"} and len(turns) == 1 and not sides and not degrees:
-            sides, amounts["degrees"] = [OPPOSITE[turns[0].sides[0]]], turns[0].amounts.get("degrees", 90.0)
+            sides = [OPPOSITE[turns[0].sides[0]]]
+            amounts["degrees"] = turns[0].amounts.get("degrees", 90.0)
             self.turns = []
             return Action(verb="turn", sides=(sides[0],), amounts=amounts, speed=speed)
         now.refuse(now.ways - {"around"}, "is not something the robot does; it turns left or right")
@@ -641,7 +651,8 @@ class _Reader:
             amounts["times"] = amounts.get("times") or max(1.0, round(amounts["seconds"] / now.every))
             amounts["seconds"] = now.every * amounts["times"]
         if now.kind == "GUARD":
-            action.verb, action.way = "place", "guard"
+            action.verb = "place"
+            action.way = "guard"
         elif now.rule == "gesture" or now.kind in ("WAVE", "PUNCH", "ONE_TWO", *BOXED):
             action.verb = BOXED.get(now.kind, ("punch" if now.kind == "ONE_TWO" else now.kind.lower(), ""))[0]
             allowed = {"wave": {"up and down", "up"}, "cycle": {"up and down", "up"}}.get(action.verb, {"forward"})
@@ -660,14 +671,16 @@ class _Reader:
         if action.verb == "cycle":
             return
         ways = now.ways - {"out"} if now.ways & {"forward", "side"} else now.ways
-        found, way = POSTURES[kind], " ".join(sorted(ways))
+        found = POSTURES[kind]
+        way = " ".join(sorted(ways))
         now.refuse(way not in found, f"needs one direction: {', '.join(sorted(filter(None, found)))}")
         action.way = found[way]
         times = action.amounts.get("times", 1.0)
         unclear = times > 1 and "seconds" in action.amounts and action.stays
         now.refuse(unclear, "says how often and for how long; say 'in' and the time of all")
         if times > 1 and kind == "RAISE" and action.way == "up":
-            action.verb, action.way = "cycle", ""
+            action.verb = "cycle"
+            action.way = ""
         elif times == 1.0:
             action.amounts.pop("times", None)
         there = now.has("AGAIN") and all(self.at.get(side) == action.way for side in action.sides)
@@ -722,7 +735,8 @@ class _Item:
 
     def add(self, more: _Item) -> None:
         """Add a bare item behind a comma."""
-        bare, last = more.clauses[0], self.clauses[-1]
+        bare = more.clauses[0]
+        last = self.clauses[-1]
         times = int(bare.amounts.get("times", 0))
         if len(self.clauses) > 1 and times and all(clause.amounts for clause in self.clauses) and not bare.has("EACH"):
             self.rounds = times
@@ -759,7 +773,8 @@ def _takes(action: Action) -> tuple[str, ...]:
 
 def _share(unit: list[Clause]) -> tuple[int, str]:
     """Give what is said behind the last of several clauses to all; return how often all is done, and what is shared."""
-    last, others = unit[-1], unit[:-1]
+    last = unit[-1]
+    others = unit[:-1]
     last.refuse(any(clause.pause for clause in others), "comes behind a pause between parts; put the pause last")
     if not others:
         return 1, ""
@@ -769,13 +784,15 @@ def _share(unit: list[Clause]) -> tuple[int, str]:
     partly = lacking and (len(lacking) < len(others) or any(clause.amounts for clause in lacking))
     last.refuse(partly, f"says {name} for a part of what is joined; say it for each")
     for clause in lacking:
-        clause.amounts, clause.stays = dict(last.amounts), last.stays
+        clause.amounts = dict(last.amounts)
+        clause.stays = last.stays
     return rounds, name if lacking else ""
 
 
 def _share_words(unit: list[Clause]) -> None:
     """Give the one pace of clauses to all, and the way behind the last hand to the hands before."""
-    last, others = unit[-1], unit[:-1]
+    last = unit[-1]
+    others = unit[:-1]
     paced = [clause for clause in unit if clause.has(*PACES)]
     for clause in unit if len(paced) == 1 else ():
         clause.words |= {kind: words for kind, words in paced[0].words.items() if kind in PACES}
@@ -786,8 +803,10 @@ def _share_words(unit: list[Clause]) -> None:
 
 def _rounds(unit: list[Clause]) -> tuple[int, str]:
     """Return how often clauses of the base are done, all in turn, and the amount behind the last that is left."""
-    last, others = unit[-1], unit[:-1]
-    name, each = last.last, last.has("EACH")
+    last = unit[-1]
+    others = unit[:-1]
+    name = last.last
+    each = last.has("EACH")
     either = any(clause.has("ALTERNATE") for clause in unit) and "times" in last.amounts and not each
     last.refuse(either, "can count single moves or pairs; say how many for each hand")
     moves = unit[0].kind in ("STEP", "WALK", "MOVE", "TURN") and not any("times" in clause.amounts for clause in others)
@@ -817,7 +836,9 @@ def _with_pauses(now: Clause, action: Action, several: bool) -> Groups:
 
 def _in_turn(now: Clause, action: Action) -> Groups:
     """Return an action hand by hand."""
-    by_hand, times, seconds = _by_hand(now, action), action.amounts.get("times"), action.amounts.get("seconds")
+    by_hand = _by_hand(now, action)
+    times = action.amounts.get("times")
+    seconds = action.amounts.get("seconds")
     pair = now.kind == "ONE_TWO"
     each = by_hand or pair or now.has("EACH")
     once = action.amounts if by_hand else {"times": 1.0}
@@ -867,6 +888,10 @@ def _check_both(action: Action, other: Action) -> None:
     if other.moves_base == action.moves_base and (action.moves_base or set(other.sides) & set(action.sides)):
         who = "the robot" if action.moves_base else f"the {action.sides[0]} hand"
         raise SourceError(f"{who} cannot {other.verb} and {action.verb} at the same time")
+
+
+def _once(action: Action) -> Action:
+    return replace(action, amounts={**action.amounts, "times": 1.0})
 
 
 def _apart(groups: Groups, pause: float) -> Groups:

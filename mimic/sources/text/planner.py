@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 CORRECTIONS = 3
 """How often a model may correct its answer."""
-LONGEST_SENTENCE, LARGEST_BODY = 2000, 4_000_000  # characters of a sentence; bytes of an endpoint's response
+LONGEST_SENTENCE = 2000
+LARGEST_BODY = 4_000_000  # characters of a sentence; bytes of an endpoint's response
 REPORTED = 12  # at most this many errors go back at once
 
 _FAULTS = (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError)
@@ -70,14 +71,18 @@ def describe(motion: KeyFrames) -> Iterator[str]:
     """
     for word, meant in motion.typed:
         yield f"read         {word!r} as {meant!r}"
-    t, heading, before = 0.0, 0.0, ""
+    t = 0.0
+    heading = 0.0
+    before = ""
     for frame in motion.frames:
         what = frame.what
         if motion.planner != "grammar":
             what = _numbers(frame, heading)
         if what != before or motion.planner != "grammar":
             yield f"{t:8.1f} s   {what}"
-        t, heading, before = t + frame.duration, frame.heading, what
+        t = t + frame.duration
+        heading = frame.heading
+        before = what
     yield f"{t:8.1f} s   end"
 
 
@@ -146,7 +151,8 @@ def _read(answer: str, sentence: str, model: str) -> tuple[KeyFrames | None, lis
 def first_json(text: str) -> Any:
     """Return the first JSON object with ``frames`` in a text, ignoring the prose around it; None if there is none."""
     decoder = json.JSONDecoder()
-    at, tries = text.find("{"), 0
+    at = text.find("{")
+    tries = 0
     while at >= 0 and tries < 100:
         tries += 1
         try:

@@ -22,7 +22,8 @@ EXAMPLE = "step forward, then raise the left hand"
 def rules(reach: Reach, longest: float) -> str:
     """Return what there is to know about the robot, each number from its description or its kinematics."""
     description = reach.description
-    commands, leg = description.commands, reach.legs[0]
+    commands = description.commands
+    leg = reach.legs[0]
     limits = "\n".join(
         f"  {name}: {np.degrees(low):.0f} to {np.degrees(high):.0f}"
         for name, low, high in zip(JOINTS[:FRONT], reach.q_min, reach.q_max, strict=True)
@@ -34,10 +35,12 @@ def rules(reach: Reach, longest: float) -> str:
         forward, left, up = 100 * (reach.toes(q)[0] - shoulders[0]) @ R_BT
         return f"hand {forward:+.0f} cm forward, {left:+.0f} cm left, {up:+.0f} cm up from its shoulder"
 
+    postures = {"standing": description.poses["upright"][:FRONT]}
+    postures |= {name: posture(name, reach) for name in POSTURES}
     table = "\n".join(
         f"  {name}: left_deg {np.degrees(q[:3]).round().astype(int).tolist()}, right_deg "
         f"{np.degrees(q[3:]).round().astype(int).tolist()} ({hand(q)})"
-        for name, q in (("standing", description.poses["upright"][:FRONT]), *((n, posture(n, reach)) for n in POSTURES))
+        for name, q in postures.items()
     )
     v_x, v_y = commands.velocity
     sideways = "it cannot walk sideways: the second number is 0" if v_y == 0 else f"{-v_y:g} to {v_y:g} m/s to the left"

@@ -82,8 +82,12 @@ def _meant(word: str) -> str:
     letters = ["", *"abcdefghijklmnopqrstuvwxyz"]
     edits = {a + letter + b[cut:] for a, b in parts for letter in letters for cut in (0, 1)} & known
     near = swaps or (edits if len(word) >= SHORTEST else set())
-    kinds = {tuple(token.type for token in grammar().lex(other)) for other in near}
-    return min(near) if len(kinds) == 1 else word
+    return min(near) if len(set(map(_kinds, near))) == 1 else word
+
+
+def _kinds(word: str) -> tuple[str, ...]:
+    """Return what a word is in the grammar."""
+    return tuple(token.type for token in grammar().lex(word))
 
 
 def prepared(sentence: str) -> tuple[str, dict[str, str]]:

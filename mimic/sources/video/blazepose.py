@@ -29,18 +29,22 @@ cut-off is 0.01 Hz; over a frame interval this long they keep less than 0.2 % of
 class _Landmarker:
     """mediapipe's landmarker of poses; use it in a ``with`` block."""
 
-    mode, most = "VIDEO", 1
+    mode = "VIDEO"
+    most = 1
 
     def __init__(self, model: Path) -> None:
         """Take the bundle of models that `mimic.sources.video.pose_model` returns."""
-        self._model, self._frames, self._seen = model, 0, False
+        self._model = model
+        self._frames = 0
+        self._seen = False
 
     def __enter__(self) -> Self:
         with quiet_stderr():
             import mediapipe
             from mediapipe.tasks.python import BaseOptions, vision
 
-            self._image, self._format = mediapipe.Image, mediapipe.ImageFormat.SRGB
+            self._image = mediapipe.Image
+            self._format = mediapipe.ImageFormat.SRGB
             options = vision.PoseLandmarkerOptions(
                 base_options=BaseOptions(model_asset_path=str(self._model)),
                 running_mode=vision.RunningMode[self.mode],
@@ -94,7 +98,8 @@ class BlazePose(_Landmarker):
 class Everybody(_Landmarker):
     """Finds up to five people in a picture by itself."""
 
-    mode, most = "IMAGE", 5
+    mode = "IMAGE"
+    most = 5
 
     def __call__(self, rgb: np.ndarray) -> list[tuple[FloatArray, FloatArray]]:
         """Return image coordinates (33, 2), fractions of width and height, and visibility (33,) of each."""

@@ -42,8 +42,10 @@ FIRST_LOOK = 2.0
 """Time of the first look for several people [s]; each further one comes after twice the time."""
 LOW_PRIORITY = 10
 """Niceness of the camera process when the control loop has priority."""
-PREVIEW_WIDTH, PREVIEW_INTERVAL = 320, 0.1
-"""Width of preview pictures [px], and the shortest time between two of them [s]."""
+PREVIEW_WIDTH = 320
+"""Width of preview pictures [px]."""
+PREVIEW_INTERVAL = 0.1
+"""Shortest time between two of them [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -96,7 +98,8 @@ class CameraStream:
         Raises:
             SourceError: If the camera fails.
         """
-        dropped, preview = 0, None
+        dropped = 0
+        preview = None
         while True:
             try:
                 item = self._pipe.recv()
@@ -111,7 +114,8 @@ class CameraStream:
             if item is None:
                 return
             yield replace(item, skipped=item.skipped + dropped, jpeg=preview)
-            dropped, preview = 0, None
+            dropped = 0
+            preview = None
 
 
 @contextmanager
@@ -217,7 +221,8 @@ class _LatestFrame:
     def __init__(self) -> None:
         self._condition = threading.Condition()
         self._item: tuple[float, np.ndarray] | None = None
-        self._dropped, self._over = 0, False
+        self._dropped = 0
+        self._over = False
 
     def put(self, t: float, rgb: np.ndarray) -> None:
         with self._condition:
@@ -236,8 +241,10 @@ class _LatestFrame:
             self._condition.wait_for(lambda: self._item is not None or self._over)
             if self._item is None:
                 return None
-            (t, rgb), dropped = self._item, self._dropped
-            self._item, self._dropped = None, 0
+            (t, rgb) = self._item
+            dropped = self._dropped
+            self._item = None
+            self._dropped = 0
             return t, rgb, dropped
 
 
@@ -253,7 +260,8 @@ def _run_camera(
     from mimic.sources.video.depth import LiveDepth
     from mimic.sources.video.people import People
 
-    latest, depth = _LatestFrame(), LiveDepth() if pose.depth else None
+    latest = _LatestFrame()
+    depth = LiveDepth() if pose.depth else None
     assert isinstance(pose.pose_model, Path)
     hint = "let one person stand before the camera"
     try:
@@ -297,7 +305,8 @@ def _play_file(frames: Iterator[Frame], latest: _LatestFrame, pipe: Connection) 
         pipe.recv()
     except (EOFError, OSError):
         return
-    begun, first = time.monotonic(), None
+    begun = time.monotonic()
+    first = None
     for frame in frames:
         first = frame.stamp_ms if first is None else first
         time.sleep(max(0.0, begun + (frame.stamp_ms - first) / 1e3 - time.monotonic()))
@@ -317,7 +326,9 @@ def _detect(
     """Detect the person in the newest frame and send a row, until there are no more frames."""
     import cv2
 
-    sides, last_preview, began = LiveSides(), -np.inf, time.monotonic()
+    sides = LiveSides()
+    last_preview = -np.inf
+    began = time.monotonic()
     look = FIRST_LOOK
     while (item := latest.take()) is not None:
         t, rgb, skipped = item
@@ -336,14 +347,16 @@ def _detect(
         clothes = clothes_colour(rgb, image)
         people.saw(image, clothes)
         person = bool(person_rows(score[None], pose.min_visibility)[0])
-        size, spread = (rgb.shape[1], rgb.shape[0]), np.full(2, np.nan)
+        size = (rgb.shape[1], rgb.shape[0])
+        spread = np.full(2, np.nan)
         if person and depth is not None:
             landmarks, spread = depth.see(t, landmarks, image, score, size)
         jpeg = None
         if previews and t - last_preview >= PREVIEW_INTERVAL:
             small = cv2.resize(rgb, (PREVIEW_WIDTH, round(PREVIEW_WIDTH * rgb.shape[0] / rgb.shape[1])))
             small = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
-            jpeg, last_preview = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes(), t
+            jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes()
+            last_preview = t
         row = CameraFrame(
             t=t,
             landmarks=landmarks,

@@ -126,7 +126,9 @@ def _frames(container: InputContainer, stream: VideoStream, damaged: list[float]
     import av
     import cv2
 
-    stamp_ms, size, previous = 0.0, None, None
+    stamp_ms = 0.0
+    size = None
+    previous = None
     tick_ms = 1e3 * float(stream.time_base or 0)
     ordered = "avi" in container.format.name  # it stores no times of presentation
     with container:
@@ -267,7 +269,8 @@ def true_times(stamps_ms: FloatArray) -> tuple[FloatArray, int]:
         if k < len(tails) and tails[k] == stamp:
             continue  # repeated: the first one is kept
         predecessor[i] = last[k - 1] if k else -1
-        tails[k : k + 1], last[k : k + 1] = [stamp], [i]
+        tails[k : k + 1] = [stamp]
+        last[k : k + 1] = [i]
     good: list[int] = []
     i = last[-1] if last else -1
     while i >= 0:

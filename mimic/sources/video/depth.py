@@ -21,7 +21,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from mimic.io.assets import shipped
-from mimic.records import ELBOWS, HIPS, LANDMARKS, SHOULDERS, SIDES, WRISTS, FloatArray, PoseTrack
+from mimic.records import ELBOWS, HIPS, LANDMARKS, SHOULDERS, WRISTS, FloatArray, PoseTrack, landmarks_of
 from mimic.sources.video.screening import spread_of
 from mimic.sources.video.smoothing import segments
 
@@ -35,34 +35,44 @@ SHORTEST = 4
 """Shorter segments are left as they are [rows at RATE_HZ]."""
 LENS = 1.0
 """Focal length over the longer side of the picture: 0.7 to 1 of phones and webcams."""
-UPPER_LENGTH, FORE_LENGTH, LEAST_LENGTH = 0.94, 1.02, 0.97
-"""Lengths of the bones over the longest seen; at least this share of the longest in the picture."""
-DRAWN_QUANTILE, SOLID_QUANTILE = 0.95, 0.90
-"""Quantiles over time that count as the longest, in the picture and by the detector."""
-SURE_SHARE, UNKNOWN = 0.5, 0.08
-"""Share of the network's own doubt in the declared spread, and what no picture tells, in quadrature with it [m].
-
-Chosen as MEAN_SHARE is (lab/people/left_out.py).
-"""
+UPPER_LENGTH = 0.94
+"""Length of the upper arm over the longest seen."""
+FORE_LENGTH = 1.02
+"""Length of the forearm over the longest seen."""
+LEAST_LENGTH = 0.97
+"""At least this share of the longest in the picture."""
+DRAWN_QUANTILE = 0.95
+"""Quantile over time that counts as the longest in the picture."""
+SOLID_QUANTILE = 0.90
+"""Quantile that counts as the longest by the detector."""
+SURE_SHARE = 0.5
+"""Share of the network's own doubt in the declared spread; chosen as MEAN_SHARE is (lab/people/left_out.py)."""
+UNKNOWN = 0.08
+"""What no picture tells, in quadrature with it [m]; chosen likewise."""
 MEAN_SHARE = 0.85
 """Share of the network in the average depth of an arm; the rest is the detector's (lab/people/left_out.py)."""
-SLOW_S, MEAN_S = 0.5, 1.0
-"""Standard deviation of the Gaussian over scale and heading of a clip, and over the average depth of an arm [s]."""
+SLOW_S = 0.5
+"""Standard deviation of the Gaussian over scale and heading of a clip [s]."""
+MEAN_S = 1.0
+"""Standard deviation of the Gaussian over the average depth of an arm [s]."""
 FORGET_S = 1.0
 """A camera starts anew after a gap of this length, and averages with this time constant [s]."""
 REMEMBERED = 900
 """Frames of a camera in which bones are measured."""
 
-_INDEX, _EARS = ([LANDMARKS.index(f"{side}_{part}") for side in SIDES] for part in ("index", "ear"))
-_HANDS = [[LANDMARKS.index(f"{side}_{part}") for part in ("pinky", "index", "thumb")] for side in SIDES]
+_INDEX = landmarks_of("index")
+_EARS = landmarks_of("ear")
+_FINGERS = landmarks_of("pinky", "index", "thumb")
 _NOSE = LANDMARKS.index("nose")
 _TRUNK = [*SHOULDERS, *HIPS]
 
 
 def with_depth(track: PoseTrack) -> PoseTrack:
     """Return the smooth track of a whole clip with arms of estimated depth, and its spread."""
-    t, size = track.t, track.size
-    landmarks, spread = np.array(track.landmarks, dtype=np.float64), np.full((len(t), 2), np.nan)
+    t = track.t
+    size = track.size
+    landmarks = np.array(track.landmarks, dtype=np.float64)
+    spread = np.full((len(t), 2), np.nan)
     for rows in segments(t, np.flatnonzero(np.isfinite(landmarks[:, 0, 0])), track.cuts()):
         image = track.image[rows]
         grid, seen = sight(t[rows], landmarks[rows], image, track.score[rows], size)
@@ -103,7 +113,8 @@ class LiveDepth:
         if passed > FORGET_S:
             self._rows.clear()
             self._bones.clear()
-        world, picture = landmarks[None], image[None]
+        world = landmarks[None]
+        picture = image[None]
         share = 1.0 - np.exp(-passed / FORGET_S) if self._rows else 1.0
         self._slow = self._slow + share * (_to_average(world, picture, size)[0] - self._slow)
         self._bones.append(_lengths(world, _metres(picture, size, self._slow[:1] / self._slow[1:2]))[0])
@@ -136,7 +147,8 @@ def placed(
         scale: Of the picture (T,) [m/px].
         depth: Of elbow and wrist from the shoulder, both sides (T, 2, 2) [m].
     """
-    flat, away = _metres(image, size, scale), LENS * max(size) * scale
+    flat = _metres(image, size, scale)
+    away = LENS * max(size) * scale
     result = np.array(landmarks, dtype=np.float64)
     for side in range(2):
         shoulder = SHOULDERS[side]
@@ -145,7 +157,7 @@ def placed(
             across = flat[:, point] * (1.0 + z / away)[:, None] - flat[:, shoulder]
             result[:, point] = landmarks[:, shoulder] + np.column_stack([across, z])
         moved = result[:, WRISTS[side]] - landmarks[:, WRISTS[side]]
-        result[:, _HANDS[side]] += moved[:, None]
+        result[:, _FINGERS[side::2]] += moved[:, None]
     return result
 
 
@@ -186,7 +198,9 @@ class Seen:
         return np.stack([z[:, [ELBOWS[i], WRISTS[i]]] - z[:, [SHOULDERS[i]]] for i in range(2)])
 
     def _of_arm(self, side: int) -> FloatArray:
-        other, mirror, rows = 1 - side, 1.0 - 2.0 * side, len(self.world)
+        other = 1 - side
+        mirror = 1.0 - 2.0 * side
+        rows = len(self.world)
         points = [
             ELBOWS[side], WRISTS[side], _INDEX[side], SHOULDERS[other], ELBOWS[other], WRISTS[other],
             HIPS[side], HIPS[other], _NOSE, _EARS[side], _EARS[other],
@@ -195,7 +209,8 @@ class Seen:
         solid = (self.world[:, points] - self.world[:, [SHOULDERS[side]]]) * (mirror, 1.0, 1.0)
         heading = self.line[:, [0, 2]] * (1.0, mirror)
         heading = heading / np.maximum(np.linalg.norm(heading, axis=1, keepdims=True), 1e-9)
-        upper, fore = drawn[:, 0], drawn[:, 1] - drawn[:, 0]
+        upper = drawn[:, 0]
+        fore = drawn[:, 1] - drawn[:, 0]
         drawn_share = np.linalg.norm(np.stack([upper, fore], axis=1), axis=2) / self.bones
         arms = [ELBOWS[side], WRISTS[side], ELBOWS[other], WRISTS[other]]
         columns = (drawn, solid[..., 2], solid[:, :2, :2], heading, self.score[:, arms], drawn_share, self.bones)
@@ -244,7 +259,8 @@ def _answer(features: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _to_average(landmarks: FloatArray, image: FloatArray, size: tuple[int, int]) -> FloatArray:
     """Return how far shoulders and hips are spread [m, px], and their right -> left line [m] (T, 5)."""
-    first, last = [SHOULDERS[0], HIPS[0]], [SHOULDERS[1], HIPS[1]]
+    first = [SHOULDERS[0], HIPS[0]]
+    last = [SHOULDERS[1], HIPS[1]]
     line = (landmarks[:, first] - landmarks[:, last]).sum(axis=1)
     drawn = np.maximum(spread_of(image[:, _TRUNK] * np.asarray(size, float)), 1e-6)
     return np.column_stack([spread_of(landmarks[:, _TRUNK, :2]), drawn, line])
@@ -257,11 +273,12 @@ def _metres(image: FloatArray, size: tuple[int, int], scale: FloatArray) -> Floa
 
 def _lengths(landmarks: FloatArray, flat: FloatArray) -> FloatArray:
     """Return the lengths of the bones (T, 2, 2, 2) [m]: upper arm, forearm; in the picture, by the detector; sides."""
-    pairs = ((SHOULDERS, ELBOWS), (ELBOWS, WRISTS))
-    return np.stack(
-        [np.stack([np.linalg.norm(p[:, b] - p[:, a], axis=-1) for p in (flat, landmarks)], axis=1) for a, b in pairs],
-        axis=1,
-    )
+
+    def bones(places: FloatArray) -> FloatArray:
+        joints = places[:, [SHOULDERS, ELBOWS, WRISTS]]
+        return np.linalg.norm(np.diff(joints, axis=1), axis=-1)
+
+    return np.stack([bones(flat), bones(landmarks)], axis=2)
 
 
 def _longest(lengths: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.records import LANDMARKS, SIDES, BoolArray, FloatArray, PoseTrack
+from mimic.records import HIPS, SHOULDERS, BoolArray, FloatArray, PoseTrack, landmarks_of
 from mimic.sources.video.screening import in_pixels
 
 WIDTH = 0.70
@@ -23,9 +23,10 @@ SHARE = 0.25
 FOCAL = 0.75
 """Focal length of a camera of which nothing is known [longer sides of the picture]."""
 
-_MOVED = ("shoulder elbow wrist pinky index thumb", "hip knee ankle heel foot_index")
-_LEFT, _RIGHT = ([[LANDMARKS.index(f"{side}_{part}") for part in parts.split()] for parts in _MOVED] for side in SIDES)
-"""What moves with a shoulder and with a hip."""
+_ARMS = landmarks_of("shoulder", "elbow", "wrist", "pinky", "index", "thumb")
+"""What moves with a shoulder, left and right in turn."""
+_LEGS = landmarks_of("hip", "knee", "ankle", "heel", "foot_index")
+"""What moves with a hip, left and right in turn."""
 
 
 def with_heading(track: PoseTrack) -> PoseTrack:
@@ -33,13 +34,17 @@ def with_heading(track: PoseTrack) -> PoseTrack:
 
     Each shot is turned by one angle.
     """
-    landmarks, pixels, result = track.landmarks, in_pixels(track), track.landmarks.copy()
+    landmarks = track.landmarks
+    pixels = in_pixels(track)
+    result = track.landmarks.copy()
     for rows in np.split(np.arange(len(landmarks)), track.cuts()):
         turn = _turn(landmarks[rows], pixels[rows], track.valid[rows], track.size)
-        c, s = np.cos(turn), np.sin(turn)
-        for left, right in zip(_LEFT, _RIGHT, strict=True):
+        c = np.cos(turn)
+        s = np.sin(turn)
+        for left, right in ((_ARMS[::2], _ARMS[1::2]), (_LEGS[::2], _LEGS[1::2])):
             half = (landmarks[rows, left[0]] - landmarks[rows, right[0]]) / 2
-            x, z = half[:, 0], half[:, 2]
+            x = half[:, 0]
+            z = half[:, 2]
             moved = np.stack([c * x - s * z - x, np.zeros(len(x)), s * x + c * z - z], axis=-1)[:, None]
             result[rows[:, None], left] += moved
             result[rows[:, None], right] -= moved
@@ -48,18 +53,17 @@ def with_heading(track: PoseTrack) -> PoseTrack:
 
 def _turn(landmarks: FloatArray, pixels: FloatArray, valid: BoolArray, size: tuple[int, int]) -> float:
     """Return by how much the trunk of a shot must be turned to the left [rad]."""
-    shoulders, hips = ([_LEFT[i][0], _RIGHT[i][0]] for i in range(2))
-    rows = valid[:, shoulders].all(axis=1)
+    rows = valid[:, SHOULDERS].all(axis=1)
     if not rows.any():
         return 0.0
-    line = landmarks[:, shoulders[0]] - landmarks[:, shoulders[1]]
-    line = line + valid[:, hips].min(axis=1, keepdims=True) * (landmarks[:, hips[0]] - landmarks[:, hips[1]])
-    middle = pixels[rows][:, shoulders].mean(axis=1)
+    line = landmarks[:, SHOULDERS[0]] - landmarks[:, SHOULDERS[1]]
+    line = line + valid[:, HIPS].min(axis=1, keepdims=True) * (landmarks[:, HIPS[0]] - landmarks[:, HIPS[1]])
+    middle = pixels[rows][:, SHOULDERS].mean(axis=1)
     aside = np.arctan((np.median(middle[:, 0]) - size[0] / 2) / (FOCAL * max(size)))
     x, _, z = np.median(line[rows], axis=0)
     heading = (np.arctan2(z, x) - aside + np.pi) % (2 * np.pi) - np.pi
-    wide = np.linalg.norm(pixels[rows, shoulders[0]] - pixels[rows, shoulders[1]], axis=-1)
-    high = np.linalg.norm(middle - pixels[rows][:, hips].mean(axis=1), axis=-1)
+    wide = np.linalg.norm(pixels[rows, SHOULDERS[0]] - pixels[rows, SHOULDERS[1]], axis=-1)
+    high = np.linalg.norm(middle - pixels[rows][:, HIPS].mean(axis=1), axis=-1)
     ratio = float(np.median(wide / np.maximum(high, 1.0)))
     if ratio > LEANING:
         return float(-aside)

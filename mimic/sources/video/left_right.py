@@ -6,6 +6,8 @@ locks onto the wrong side when that lasts; the minimum-cost path over the clip d
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
@@ -24,7 +26,8 @@ _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 def other_side() -> IntArray:
     """Return for each landmark the index of its counterpart on the other side (L,); its own index if it has none."""
     swap = {"left": "right", "right": "left"}
-    return np.array([LANDMARKS.index("_".join(swap.get(p, p) for p in name.split("_"))) for name in LANDMARKS])
+    other = [re.sub("left|right", lambda side: swap[side[0]], name) for name in LANDMARKS]
+    return np.array([LANDMARKS.index(name) for name in other])
 
 
 def side_costs(before: FloatArray, now: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -59,7 +62,8 @@ def decide_sides(t: FloatArray, landmarks: FloatArray, shots: IntArray) -> BoolA
     rows = np.flatnonzero(np.isfinite(landmarks[:, 0, 0]))
     if len(rows) < 2:
         return swapped
-    times, shot = t[rows], np.searchsorted(shots, rows, "right")
+    times = t[rows]
+    shot = np.searchsorted(shots, rows, "right")
     usual = float(np.median(np.diff(times)))
     near, far = (_costs(times, landmarks[rows], lag, usual, shot) for lag in (1, 2))
     total = _START
@@ -70,7 +74,9 @@ def decide_sides(t: FloatArray, landmarks: FloatArray, shots: IntArray) -> BoolA
     before, now = np.unravel_index(int(total.argmin()), total.shape)
     for k in range(len(rows) - 1, -1, -1):
         swapped[rows[k]] = bool(now)
-        before, now = came_from[k, before, now], before
+        earlier = came_from[k, before, now]
+        now = before
+        before = earlier
     return swapped
 
 
@@ -82,7 +88,8 @@ def _costs(t: FloatArray, landmarks: FloatArray, lag: int, usual: float, shot: I
     """Return the cost of each row (N - lag, 2, 2) as [swapped ``lag`` rows before, swapped] [m]."""
     same, other = side_costs(landmarks[:-lag], landmarks[lag:])
     weight = np.exp(-np.maximum(t[lag:] - t[:-lag] - lag * usual, 0) / MEMORY) * (shot[lag:] == shot[:-lag])
-    stay, flip = weight * same, weight * (other + FLIP_COST)
+    stay = weight * same
+    flip = weight * (other + FLIP_COST)
     return np.stack([stay, flip, flip, stay], axis=-1).reshape(-1, 2, 2)
 
 
@@ -110,7 +117,8 @@ class LiveSides:
         """Return whether left and right of a row (33, 3) [m] at time t [s] must be swapped."""
         self._rows = [*self._rows, (t, np.array(landmarks))][-3:]
         if len(self._rows) > 1:
-            times, points = np.array([row[0] for row in self._rows]), np.stack([row[1] for row in self._rows])
+            times = np.array([row[0] for row in self._rows])
+            points = np.stack([row[1] for row in self._rows])
             one_shot = np.zeros(len(times), dtype=np.int64)
             near, far = (_costs(times, points, lag, 1 / 30, one_shot) for lag in (1, len(times) - 1))
             self._total, _ = _viterbi_step(self._total, near[-1], far[-1], times[-1] - times[-2])

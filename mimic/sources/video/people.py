@@ -23,8 +23,11 @@ from mimic.sources.video.shots import OTHER_COLOUR, clothes_colour
 
 Choice = Literal["left", "right", "largest"] | int
 
-SOONEST, LATEST = 0.5, 3.0
-"""Times between two looks for everybody [s]: all since the beginning, but the first where one person was chosen."""
+SOONEST = 0.5
+"""Shortest time between two looks for everybody [s]: all since the beginning, but the first where one person was
+chosen."""
+LATEST = 3.0
+"""Longest time between two looks [s]."""
 VISIBLE = 0.6
 """Both shoulders and a wrist of a person must be at least this visible: an arm by itself is found as a small person."""
 SMALLEST = 0.25
@@ -33,13 +36,18 @@ FIRST = 2.0
 """Who is followed is decided among the people that are seen in this time from the beginning [s]."""
 LOST = 3
 """After this many looks without a person, as after a cut, only their clothes tell them."""
-UNLIKE, UNLIKE_ROW, ELSEWHERE = 2.0, 1.0, 1.5
-"""Most difference of one person between two looks, and between two frames [trunk heights, or OTHER_COLOUR]; what counts
-as the distance of a lost person."""
+UNLIKE = 2.0
+"""Most difference of one person between two looks [trunk heights, or OTHER_COLOUR]."""
+UNLIKE_ROW = 1.0
+"""Most difference of one person between two frames."""
+ELSEWHERE = 1.5
+"""What counts as the distance of a lost person."""
 SAME = 0.5
 """Two findings closer than this are one person [trunk heights]."""
-MIN_LOOKS, MIN_SHARE = 2, 0.15
-"""Several people are reported if this many looks and this share of them found more than one."""
+MIN_LOOKS = 2
+"""Several people are reported if this many looks found more than one,"""
+MIN_SHARE = 0.15
+"""… and this share of them."""
 FEW_GAPS = 0.02
 """A larger share of frames without the chosen person is reported."""
 MARGIN = 0.35
@@ -113,7 +121,8 @@ def recognised(people: list[Person], known: list[Person]) -> list[int | None]:
     """Return for each of the people which of the known ones it is; None of a new one."""
     from scipy.optimize import linear_sum_assignment
 
-    costs = np.array([[min(unlike(one, other), UNLIKE) for other in known] for one in people])
+    costs = np.minimum([unlike(one, other) for one in people for other in known], UNLIKE)
+    costs = costs.reshape(len(people), len(known))
     found: list[int | None] = [None] * len(people)
     for row, column in zip(*linear_sum_assignment(costs), strict=True) if costs.size else ():
         if costs[row, column] < UNLIKE:
@@ -123,7 +132,8 @@ def recognised(people: list[Person], known: list[Person]) -> list[int | None]:
 
 def squares(width: int, height: int) -> list[tuple[int, int, int]]:
     """Return left end, upper end and side [px] of the squares of a picture; each overlaps the next by half or more."""
-    side, longest = min(width, height), max(width, height)
+    side = min(width, height)
+    longest = max(width, height)
     if longest <= WIDE * side:
         return []
     count = 1 + math.ceil(2 * (longest - side) / side)
@@ -144,9 +154,12 @@ class People:
             name: Of the video, for messages.
             hint: What to do about several people.
         """
-        self._everybody, self._name, self._hint = everybody, name, hint
+        self._everybody = everybody
+        self._name = name
+        self._hint = hint
         self._choice: Choice | None = choice
-        self._next, self._aspect = -np.inf, 1.0
+        self._next = -np.inf
+        self._aspect = 1.0
         self._known: list[Person] = []
         self._own: int | None = None
         self._place: Person | None = None
@@ -174,10 +187,12 @@ class People:
         most = max(looks, key=len, default=[])
         if self._choice is None or not self._enough(most):
             return
-        self._known, own = list(most), most.index(chosen(most, self._choice))
+        self._known = list(most)
+        own = most.index(chosen(most, self._choice))
         for people in reversed(looks[: looks.index(most)]):  # where they were at the beginning
             self._remember(people)
-        self._own, self._place = own, self._known[own]
+        self._own = own
+        self._place = self._known[own]
 
     def _enough(self, people: list[Person]) -> bool:
         return len(people) >= (self._choice if isinstance(self._choice, int) else 1)
@@ -221,7 +236,8 @@ class People:
         It stays where it is as long as it fits: the detector looks for the person where they were in it.
         """
         assert self._place is not None
-        low, high = self._place.low, self._place.high
+        low = self._place.low
+        high = self._place.high
         margin = MARGIN * (high[1] - low[1])
 
         def around(gap: float) -> IntArray:
@@ -229,7 +245,8 @@ class People:
             return np.clip(ends, 0, (width, height, width, height)).astype(np.int64)
 
         if self._crop is not None:
-            inner, own = around(margin / 3), np.array(self._crop)
+            inner = around(margin / 3)
+            own = np.array(self._crop)
             fits = (own[:2] <= inner[:2]).all() and (own[2:] >= inner[2:]).all()
             if fits and own[3] - own[1] < 2 * (inner[3] - inner[1]):
                 return self._crop

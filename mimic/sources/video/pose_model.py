@@ -46,11 +46,13 @@ MODELS = {
 BUNDLE = f"blazepose_full_{RELEASE}.task"
 _LANDMARKS = "pose_landmarks_detector.tflite"
 
-_MEAN, _STD = 0.0, 255.0
-"""Normalisation of the landmark model: pictures are 0 to 1. The detector's model says -1 to 1 itself.
+_MEAN = 0.0
+"""Offset of the pictures of the landmark model.
 
 Source: mediapipe 0.10.14, modules/pose_landmark/pose_landmark_by_roi_cpu.pbtxt, output_tensor_float_range.
 """
+_STD = 255.0
+"""Their scale: pictures are 0 to 1. The detector's model says -1 to 1 itself."""
 
 
 def is_here(given: Path | None = None) -> bool:

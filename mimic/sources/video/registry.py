@@ -13,8 +13,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-_PYTHON, _PIP_PLATFORM, _UV_PLATFORM = "3.12", "manylinux2014_x86_64", "x86_64-manylinux2014"
-"""The wheel is not installed: it may be one for another Python and another machine."""
+_PYTHON = "3.12"
+"""Python of the wheel. It is not installed: it may be one for another Python and another machine."""
+_PIP_PLATFORM = "manylinux2014_x86_64"
+"""Its platform, as pip calls it."""
+_UV_PLATFORM = "x86_64-manylinux2014"
+"""Its platform, as uv calls it."""
 
 
 class RegistryError(Exception):

@@ -21,9 +21,11 @@ ACROSS = 0.6
 SQUEEZED = (0.86, 1.07)
 """Usual width over height of the upper body in the picture, as a share of the same in the landmarks: 0.87 to 1.03 of
 people, 0.75 to 0.96 and 1.03 to 1.21 of five of them squeezed by half."""
-BENT, LEANT = 60.0, 35.0
-"""Bend of the hips and lean of the trunk in the picture beyond which a person does not stand, in a fifth of the rows:
-of people who stand at most 34 and 23, who sit, squat or lie at least 78 degrees."""
+BENT = 60.0
+"""Bend of the hips in the picture beyond which a person does not stand, in a fifth of the rows [deg]: of people who
+stand at most 34, who sit, squat or lie at least 78."""
+LEANT = 35.0
+"""The same for the lean of the trunk [deg]: of people who stand at most 23."""
 
 _TRUNK = SHOULDERS + HIPS
 _UPPER = [*SHOULDERS, *ELBOWS, *WRISTS, *HIPS, LANDMARKS.index("nose")]
@@ -80,7 +82,8 @@ def trunk_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     Args:
         points: Landmarks (..., 33, 2), in one unit across and down.
     """
-    left, right = points[..., SHOULDERS[0], :], points[..., SHOULDERS[1], :]
+    left = points[..., SHOULDERS[0], :]
+    right = points[..., SHOULDERS[1], :]
     middle = (left + right) / 2
     high = np.linalg.norm(points[..., HIPS, :].mean(axis=-2) - middle, axis=-1)
     return middle, np.maximum(high, np.linalg.norm(left - right, axis=-1))
@@ -97,7 +100,8 @@ def unsteadiness(track: PoseTrack, rows: BoolArray) -> FloatArray:
     First is the standard deviation over the mean of arms and shoulder line, last the 90th percentile of the change
     of the natural logarithm of pixels in a metre, in the rows (T,) that show a person.
     """
-    metres, pixels = track.landmarks[rows], in_pixels(track)[rows]
+    metres = track.landmarks[rows]
+    pixels = in_pixels(track)[rows]
     bones = np.linalg.norm(metres[:, _BONES[:, 0]] - metres[:, _BONES[:, 1]], axis=-1)
     scale = np.log(spread_of(pixels[:, _UPPER]) / spread_of(metres[:, _UPPER, :2]))
     steps = np.abs(np.diff(scale))[np.diff(np.flatnonzero(rows)) == 1]
@@ -114,7 +118,8 @@ def posture(track: PoseTrack) -> str:
     rows = track.valid[:, _TRUNK].all(axis=1)
     if not rows.any():
         return ""
-    metres, pixels = track.landmarks[rows][:, _UPPER, :2], in_pixels(track)[rows][:, _UPPER]
+    metres = track.landmarks[rows][:, _UPPER, :2]
+    pixels = in_pixels(track)[rows][:, _UPPER]
     trunk = pixels[:, :2].mean(axis=1) - pixels[:, 6:8].mean(axis=1)
     up = float(np.median(-trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=-1), 1e-9)))
     if up < -ACROSS:
@@ -144,6 +149,7 @@ def _hips_bent(track: PoseTrack) -> float:
     if not rows.any():
         return 0.0
     shoulders, hips, knees = (track.landmarks[rows][:, limb] for limb in (SHOULDERS, HIPS, KNEES))
-    trunk, thighs = (shoulders - hips).mean(axis=1, keepdims=True), knees - hips
+    trunk = (shoulders - hips).mean(axis=1, keepdims=True)
+    thighs = knees - hips
     cosine = -(thighs * trunk).sum(axis=-1) / np.linalg.norm(thighs, axis=-1) / np.linalg.norm(trunk, axis=-1)
     return float(np.quantile(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).min(axis=1), 0.8))

@@ -11,8 +11,10 @@ import numpy as np
 from mimic.records import HIPS, SHOULDERS, BoolArray, FloatArray, IntArray, PoseTrack
 from mimic.sources.video.screening import in_pixels, shot_starts, trunk_of
 
-DARK, FLAT = 24.0, 10.0
-"""A frame with a lower mean and a lower spread of its thumbnail is black [grey levels of 255]."""
+DARK = 24.0
+"""A frame with a lower mean of its thumbnail is black [grey levels of 255],"""
+FLAT = 10.0
+"""… if its spread is also lower than this [grey levels of 255]."""
 WINDOW = 0.5
 """What comes before a change and what comes after it is the median over this time [s]."""
 DIM = 0.5
@@ -21,8 +23,10 @@ FEWEST = 3
 """Rows that each side of a cut, and rows with a person that each side of another person must have."""
 STEADY = 0.8
 """Least share of them from the first to the last: what is found and lost in turn is nobody (0.7 on a silhouette)."""
-GAP, AWAY = 0.25, 1.0
-"""After a longer gap it may be another person who is seen, in another place, and in the same place [s]."""
+GAP = 0.25
+"""After a longer gap it may be another person who is seen in another place [s]."""
+AWAY = 1.0
+"""… and after this one, also in the same place [s]."""
 JUMP = 0.4
 """A trunk that moves farther between two frames may be another one [trunk heights]."""
 FAR = 1.0
@@ -69,7 +73,8 @@ def clothes_colour(rgb: np.ndarray, image: FloatArray) -> FloatArray:
     if not np.isfinite(image).all():
         return np.full(3, np.nan)
     left, right = image[SHOULDERS]
-    middle, hips = (left + right) / 2, image[HIPS].mean(axis=0)
+    middle = (left + right) / 2
+    hips = image[HIPS].mean(axis=0)
     points = middle + _ACROSS.reshape(-1, 1) * (left - right) + _DOWN.reshape(-1, 1) * (hips - middle)
     height, width = rgb.shape[:2]
     x, y = np.floor(points * (width, height)).astype(int).T
@@ -93,7 +98,9 @@ def find_changes(
         light: Mean and spread of the brightness of each frame (T, 2) [grey levels].
     """
     found: dict[int, Kind] = {}
-    t, rows, trunks = track.t, np.flatnonzero(person), trunk_of(in_pixels(track))
+    t = track.t
+    rows = np.flatnonzero(person)
+    trunks = trunk_of(in_pixels(track))
     candidates: tuple[tuple[Kind, Iterable[int]], ...] = (
         ("fade", _after_black(light)),
         ("cut", (row for row in shot_starts(change) if FEWEST <= row <= len(t) - FEWEST)),
@@ -159,11 +166,13 @@ def _is_other(
     Within one picture a person cannot jump; across a cut place and size say nothing, only the clothes do.
     """
     away = DIM if kind == "fade" else 0.0
-    before, after = rows[(rows < row) & (t[rows] < t[row] - away)], rows[(rows >= row) & (t[rows] >= t[row] + away)]
+    before = rows[(rows < row) & (t[rows] < t[row] - away)]
+    after = rows[(rows >= row) & (t[rows] >= t[row] + away)]
     if not len(before) or not len(after):
         return False
     gap = t[after[0]] - t[before[-1]]
-    before, after = before[t[before] > t[before[-1]] - WINDOW], after[t[after] < t[after[0]] + WINDOW]
+    before = before[t[before] > t[before[-1]] - WINDOW]
+    after = after[t[after] < t[after[0]] + WINDOW]
     if any(len(side) < max(FEWEST, STEADY * (1 + side[-1] - side[0])) for side in (before, after)):
         return False
     colour = float(np.linalg.norm(_median(clothes[before]) - _median(clothes[after])))

@@ -14,11 +14,17 @@ if TYPE_CHECKING:
 ALIGNMENT = 16
 """TFLite aligns the weights in a model to this [bytes]."""
 
-_VERSION, _BUFFERS, _METADATA = 0, 4, 6
+_VERSION = 0
+_BUFFERS = 4
+_METADATA = 6
 _OTHER_OFFSETS = (1, 2, 3, 5, 7)
 """Fields of Model: besides its version, buffers and metadata it has operators, subgraphs, description, signatures."""
-_NORMALIZATION_OPTIONS, _IMAGE_PROPERTIES, _RGB = 1, 2, 1
-"""Members of the unions ProcessUnitOptions and ContentProperties, and of ColorSpaceType."""
+_NORMALIZATION_OPTIONS = 1
+"""Member of the union ProcessUnitOptions."""
+_IMAGE_PROPERTIES = 2
+"""Member of the union ContentProperties."""
+_RGB = 1
+"""Value of ColorSpaceType."""
 
 
 def with_normalisation(model: bytes, mean: float, std: float) -> bytes:
@@ -85,7 +91,8 @@ def _table(
     kinds: dict[int, int] | None = None,
 ) -> int:
     """Write a table of offsets, unsigned integers and bytes by field number, and return its place."""
-    numbers, kinds = numbers or {}, kinds or {}
+    numbers = numbers or {}
+    kinds = kinds or {}
     builder.StartObject(1 + max((*offsets, *numbers, *kinds)))
     for field, place in offsets.items():
         builder.PrependUOffsetTRelativeSlot(field, place, 0)

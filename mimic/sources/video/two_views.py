@@ -24,8 +24,10 @@ NEAR = 25.0
 """Cameras that look along lines closer than this show no depth to each other [deg]: of six such pairs half lost."""
 GRID_HZ = 100.0
 """Rate at which their motion is compared [Hz]."""
-ACROSS, DEPTH = 0.03, 0.12
-"""Standard deviations of a line across the picture, and in depth where the track declares none [m]."""
+ACROSS = 0.03
+"""Standard deviation of a line across the picture [m]."""
+DEPTH = 0.12
+"""Standard deviation in depth where the track declares none [m]."""
 TURN_DOUBT = 0.14
 """Standard deviation of the turn found, about each axis [rad]: 14° in all on twelve pairs of calibrated views."""
 STARTS = 8
@@ -69,7 +71,8 @@ def merge_views(first: PoseTrack, second: PoseTrack, names: tuple[str, str]) -> 
     for track, name in zip((first, second), names, strict=True):
         if len(np.unique(track.shot)) > 1:
             raise SourceError(f"{name} has a cut or a change of person; two views need clips without one")
-    seen, lines = _lines(first), _lines(second)
+    seen = _lines(first)
+    lines = _lines(second)
     fits = []
     for delay in _delays(first, second):
         other = _at(lines, second.t, first.t + delay)
@@ -154,7 +157,8 @@ def _delays(first: PoseTrack, second: PoseTrack) -> FloatArray:
 
 def _speeds(track: PoseTrack) -> FloatArray:
     """Return how fast elbows and wrists go down from their shoulder at GRID_HZ (T, 4) [m/s]; 0 where unseen."""
-    lines, grid = _lines(track), np.arange(track.t[0], track.t[-1], 1.0 / GRID_HZ)
+    lines = _lines(track)
+    grid = np.arange(track.t[0], track.t[-1], 1.0 / GRID_HZ)
     seen = _at(lines, track.t, grid)
     speed = GRID_HZ * np.gradient(seen.xyz[:, :4, 1], axis=0) if len(grid) > 1 else np.zeros((len(grid), 4))
     return np.where(seen.valid[:, :4] & np.isfinite(speed), speed, 0.0)
@@ -190,7 +194,8 @@ def _mean(seen: _Lines, other: _Lines, turn: FloatArray) -> _Lines:
         return weights[..., None] * np.eye(3)
 
     back = np.linalg.inv(turn)
-    own, others = information(seen), back.T @ information(other) @ back
+    own = information(seen)
+    others = back.T @ information(other) @ back
     covariance = np.linalg.inv(own + others + 1e-9 * np.eye(3))
     values = [np.where(lines.valid[..., None], lines.xyz, 0.0) for lines in (seen, other)]
     total = (own @ values[0][..., None] + others @ (values[1] @ turn.T)[..., None])[..., 0]
@@ -201,11 +206,16 @@ def _mean(seen: _Lines, other: _Lines, turn: FloatArray) -> _Lines:
 
 def _with_lines(track: PoseTrack, lines: _Lines) -> PoseTrack:
     """Return a track with these lines; what neither view shows stays as it is."""
-    landmarks, valid, score = np.array(track.landmarks), np.array(track.valid), np.array(track.score)
+    landmarks = np.array(track.landmarks)
+    valid = np.array(track.valid)
+    score = np.array(track.score)
     spread = np.array(track.depth_spread)
     for i, side in enumerate(SIDES):
-        half, elbow, wrist = 0.5 - i, 2 * i, 2 * i + 1
-        shoulder, seen = lines.xyz[:, 6] + half * lines.xyz[:, 4], lines.valid[:, 4] & lines.valid[:, 6]
+        half = 0.5 - i
+        elbow = 2 * i
+        wrist = 2 * i + 1
+        shoulder = lines.xyz[:, 6] + half * lines.xyz[:, 4]
+        seen = lines.valid[:, 4] & lines.valid[:, 6]
         places = {
             "hip": (half * lines.xyz[:, 5], lines.valid[:, 5]),
             "shoulder": (shoulder, seen),

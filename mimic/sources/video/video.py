@@ -120,7 +120,11 @@ def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
 
 def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | None], None] | None) -> _Detections:
     """Run the detector over every frame."""
-    stamps, change, light, clothes, rows = [], [], [], [], []
+    stamps = []
+    change = []
+    light = []
+    clothes = []
+    rows = []
     no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
     model = pose_model(settings.pose_model)
     with open_video(path) as video, BlazePose(model) as detect, Everybody(model) as everybody:

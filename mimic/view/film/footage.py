@@ -110,7 +110,8 @@ def _encode(
             # OpenCV converts several times faster than FFmpeg's scaler; both as BT.601 in limited range.
             planes = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_I420), dtype=np.uint8)
             frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
-            frame.pts, frame.time_base = index, 1 / fps
+            frame.pts = index
+            frame.time_base = 1 / fps
             container.mux(stream.codec_context.encode(frame))
         if stream is not None:
             container.mux(stream.codec_context.encode(None))

@@ -71,11 +71,15 @@ class Offscreen(AbstractContextManager["Offscreen"]):
         Raises:
             NoOffscreenGL: If off-screen rendering is not available.
         """
-        self.model, self.size = model, (width, height)
+        self.model = model
+        self.size = (width, height)
         self._drawn = round(width * SUPERSAMPLE), round(height * SUPERSAMPLE)
-        quality, view = model.vis.quality, model.vis.global_
-        quality.shadowsize, quality.offsamples = _SHADOW_SIZE, 0
-        quality.numslices, quality.numstacks = _SLICES, _SLICES // 2
+        quality = model.vis.quality
+        view = model.vis.global_
+        quality.shadowsize = _SHADOW_SIZE
+        quality.offsamples = 0
+        quality.numslices = _SLICES
+        quality.numstacks = _SLICES // 2
         model.vis.map.shadowclip = _SHADOW_CLIP
         model.mat_reflectance[:] = 0.0
         view.offwidth, view.offheight = self._drawn
@@ -95,7 +99,8 @@ class Offscreen(AbstractContextManager["Offscreen"]):
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self.data = mujoco.MjData(model)
         self.scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 200)
-        self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
+        self._camera = mujoco.MjvCamera()
+        self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = [1, 0, 1, 0, 0, 0]
         self._option.sitegroup[:] = 0
         self._pixels = np.empty((self._drawn[1], self._drawn[0], 3), dtype=np.uint8)
@@ -110,7 +115,9 @@ class Offscreen(AbstractContextManager["Offscreen"]):
             azimuth: Viewing direction of the camera about z [rad].
             elevation: Viewing direction above horizontal [rad].
         """
-        model, data, camera = self.model, self.data, self._camera
+        model = self.model
+        data = self.data
+        camera = self._camera
         data.qpos[:] = qpos
         angle = azimuth - np.pi
         turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
@@ -120,7 +127,9 @@ class Offscreen(AbstractContextManager["Offscreen"]):
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
         camera.lookat[:] = lookat
-        camera.distance, camera.azimuth, camera.elevation = distance, np.degrees(azimuth), np.degrees(elevation)
+        camera.distance = distance
+        camera.azimuth = np.degrees(azimuth)
+        camera.elevation = np.degrees(elevation)
         every = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(model, data, self._option, None, camera, every, self.scene)
 
@@ -133,14 +142,18 @@ class Offscreen(AbstractContextManager["Offscreen"]):
     ) -> None:
         """Add an arrow to the current picture, from one point (3,) to another, world axes [m]."""
         arrow = mujoco.mjtGeom.mjGEOM_ARROW
-        if not np.allclose(begin, end) and (geom := self._add(arrow, np.zeros(3), np.zeros(3), rgba)) is not None:
+        if np.allclose(begin, end):
+            return
+        geom = self._add(arrow, np.zeros(3), np.zeros(3), rgba)
+        if geom is not None:
             mujoco.mjv_connector(geom, arrow, radius, np.asarray(begin), np.asarray(end))
 
     def _add(self, kind: Any, size: FloatArray, position: FloatArray, rgba: tuple[float, float, float, float]) -> Any:
         """Return a shape added to the current picture; None where no more fits."""
         if self.scene.ngeom >= self.scene.maxgeom:
             return None
-        geom, colour = self.scene.geoms[self.scene.ngeom], np.array(rgba, dtype=np.float32)
+        geom = self.scene.geoms[self.scene.ngeom]
+        colour = np.array(rgba, dtype=np.float32)
         mujoco.mjv_initGeom(geom, kind, size, np.asarray(position), np.eye(3).ravel(), colour)
         self.scene.ngeom += 1
         return geom

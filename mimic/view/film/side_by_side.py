@@ -32,8 +32,10 @@ from mimic.view.scene.timing import (
 )
 from mimic.view.scene.viewpoint import seen_from
 
-_DISTANCE, _LOOK_HEIGHT = 2.988, 0.9423
-"""Distance of the camera, and the height that it looks at; raised front legs stay in the picture [upright heights]."""
+_DISTANCE = 2.988
+"""Distance of the camera [upright heights]; raised front legs stay in the picture."""
+_LOOK_HEIGHT = 0.9423
+"""Height that it looks at [upright heights]."""
 _DOWN = np.radians(10.0)
 """Angle of the camera, downward [rad]."""
 _TARGET_RADIUS = 0.03
@@ -72,11 +74,14 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
         Raises:
             NoOffscreenGL: If off-screen rendering is not available.
         """
-        self._log, self._radius, self._tall = log, description.toe_radius, description.pose_height["upright"]
+        self._log = log
+        self._radius = description.toe_radius
+        self._tall = description.pose_height["upright"]
         self._aimed = log.aimed
         model = load_model(description)
         self._qpos = qpos_at_ticks(log, model)
-        self._target, self._actual = in_world(self._qpos, log.p_BE_des), in_world(self._qpos, log.p_BE)
+        self._target = in_world(self._qpos, log.p_BE_des)
+        self._actual = in_world(self._qpos, log.p_BE)
         self._unclamped = None if targets is None else self._unclamped_targets(targets)
         self._path = camera_path(log, self._qpos[:, :3])
         self._azimuth = initial_heading(log) + seen_from(pose, targets) + np.pi
@@ -180,7 +185,8 @@ def _video_frames(
     t = frame_times(footage.frame_stamps(video) if stamps is None else stamps, pose, slow_down)
     on = np.clip(np.searchsorted(t, times + TIME_TOLERANCE, side="right") - 1, 0, len(t) - 1)
     frames = footage.read_frames(video, height=height)
-    at, picture = -1, None
+    at = -1
+    picture = None
     for row in on:
         while at < row:
             _, picture = next(frames)
@@ -243,14 +249,16 @@ def write_texts(picture: np.ndarray, texts: list[tuple[str, skeleton.Colour]]) -
     import cv2
 
     height, width = picture.shape[:2]
-    scale, line = height / 900, max(1, round(height / 480))
+    scale = height / 900
+    line = max(1, round(height / 480))
     edge = round(height * 0.03)
     room = width - edge * (len(texts) + 1)
     while scale > 0.1 and room < sum(
         cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, scale, line)[0][0] for text, _ in texts
     ):
         scale *= 0.95
-    x, y = edge, height - edge
+    x = edge
+    y = height - edge
     bar = picture[height - text_band(height) :]
     bar[:] = (0.35 * bar + 0.65 * np.array([30, 34, 40])).astype(np.uint8)
     for text, colour in texts:

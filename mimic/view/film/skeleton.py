@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +46,10 @@ _JUST_USABLE = 0.5
 """Visibility at which a landmark may just be used."""
 _PALEST = 0.25
 """Share of its colour that the least sure wrist keeps."""
-_WELL_KNOWN_DEPTH, _UNKNOWN_DEPTH = 0.08, 0.16
-"""Standard deviation of the depth of a wrist that is sure, and of one about which nothing is known [m]."""
+_WELL_KNOWN_DEPTH = 0.08
+"""Standard deviation of the depth of a wrist that is sure [m]."""
+_UNKNOWN_DEPTH = 0.16
+"""… and of one about which nothing is known [m]."""
 _HIP_HEIGHT = 0.9
 """Assumed height of the hips if no foot is visible [m]."""
 
@@ -69,12 +72,13 @@ def soft(colour: Colour) -> Colour:
 
 def bones(names: tuple[str, ...]) -> dict[str, list[tuple[int, int]]]:
     """Return the pairs of landmarks in a track to connect on each side."""
-    pairs = {side: [(f"{side}_{a}", f"{side}_{b}") for a, b in _LIMBS] for side in ("left", "right")}
-    pairs["centre"] = list(_CENTRE)
-    return {
-        side: [(names.index(a), names.index(b)) for a, b in both if a in names and b in names]
-        for side, both in pairs.items()
-    }
+
+    def known(pairs: Iterable[tuple[str, str]]) -> list[tuple[int, int]]:
+        return [(names.index(a), names.index(b)) for a, b in pairs if a in names and b in names]
+
+    left = known((f"left_{a}", f"left_{b}") for a, b in _LIMBS)
+    right = known((f"right_{a}", f"right_{b}") for a, b in _LIMBS)
+    return {"left": left, "right": right, "centre": known(_CENTRE)}
 
 
 def visible(points: FloatArray, valid: BoolArray) -> BoolArray:

@@ -45,7 +45,8 @@ def _map(found: Correlations) -> str:
         return ""
     side = max(5.0, min(22.0, 760.0 / n))
     groups = [name.partition(".")[0] for name in found.names]
-    cells, labels = [], []
+    cells = []
+    labels = []
     for i, j in zip(*np.tril_indices(n), strict=True):
         value = float(found.matrix[i, j])
         if abs(value) < 0.05:

@@ -70,7 +70,8 @@ def _candidate(x: Candidate, top: float, positions: str, stage: Stage) -> str:
 
 
 def _span(values: FloatArray) -> str:
-    low, high = float(np.min(values)), float(np.max(values))
+    low = float(np.min(values))
+    high = float(np.max(values))
     return number(low) if number(low) == number(high) else f"{number(low)} … {number(high)}"
 
 

@@ -94,7 +94,8 @@ def _effects(c: Calibration) -> str:
     found = [e for e in effects if e.name in stages]
     parts = []
     for e in found:
-        spec, alternatives = CATALOGUE[e.name], ", ".join(title_of(r) for r in stages[e.name].alternatives)
+        spec = CATALOGUE[e.name]
+        alternatives = ", ".join(title_of(r) for r in stages[e.name].alternatives)
         note = (
             f"<p class='lead'>Alternatives this log cannot rule out: <b>{escape(alternatives)}</b>.</p>"
             if alternatives
@@ -143,7 +144,8 @@ def _in(unit: str) -> str:
 
 
 def _value(e: EffectValues, parameter: str, i: int) -> str:
-    value, spec = float(e.values[parameter][i]), CATALOGUE[e.name].parameter(parameter)
+    value = float(e.values[parameter][i])
+    spec = CATALOGUE[e.name].parameter(parameter)
     text = figure(value)
     if value != 0.0 and (value <= spec.low or value >= spec.high) and not spec.fixed:
         text = f"<span class=bad title='at its bound: do not trust it'>{text} ▸|</span>"
@@ -228,15 +230,17 @@ def _unexplained(c: Calibration) -> str:
         ("What to log next", c.experiments),
         ("Warnings", c.warnings),
     )
-    texts = "".join(
-        f"<h3>{title}</h3><ul>{''.join(f'<li>{escape(x)}</li>' for x in lines)}</ul>" for title, lines in lists if lines
-    )
+    texts = ""
+    for title, lines in lists:
+        if lines:
+            texts += f"<h3>{title}</h3><ul>{''.join(f'<li>{escape(x)}</li>' for x in lines)}</ul>"
     return section("Unexplained residual", "", table, texts)
 
 
 def _residuals(c: Calibration, unit: Unit) -> str:
     models = {"before": "baseline model", "after": "final model"}
-    timed, noisy = key(**models, held="held out"), key(**models, noise="noise floor")
+    timed = key(**models, held="held out")
+    noisy = key(**models, noise="noise floor")
     torques = torque_over_time(c)
     return "".join(
         (

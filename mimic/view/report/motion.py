@@ -47,7 +47,8 @@ def worst_seconds(c: Calibration) -> str:
     plots = []
     for j, joint in enumerate(c.joints):
         rows = worst_second(traces, j)
-        t, q = traces.t[rows], traces.q[rows, j] * factor
+        t = traces.t[rows]
+        q = traces.q[rows, j] * factor
         curves = {
             "before": q - traces.before[rows, j] * factor,
             "after": q - traces.after[rows, j] * factor,
@@ -85,7 +86,8 @@ def phases(traces: Traces, joint: int) -> dict[str, BoolArray]:
 
     Where none was predicted, no row is in any of them.
     """
-    t, v = traces.t, traces.dq[:, joint]
+    t = traces.t
+    v = traces.dq[:, joint]
     known = np.isfinite(v)
     v = np.where(known, v, 0.0)
     resting = np.abs(v) < RESTING * max(float(np.quantile(np.abs(v), 0.99)), 1e-9)
@@ -112,14 +114,15 @@ def by_phase(c: Calibration, unit: Unit) -> str:
     traces = c.traces
     if len(traces.t) < 3:
         return ""
-    rows, squares, counts = [], [], []
+    rows = []
+    squares = []
+    counts = []
     names: tuple[str, ...] = ()
     for j, joint in enumerate(c.joints):
         parts = phases(traces, j)
         names = tuple(parts)
-        sums = np.array(
-            [[np.nansum(r[where, j] ** 2) for where in parts.values()] for r in (traces.before, traces.after)]
-        )
+        both = np.stack([traces.before, traces.after])
+        sums = np.stack([np.nansum(both[:, where, j] ** 2, axis=1) for where in parts.values()], axis=1)
         number = np.array([np.isfinite(traces.after[where, j]).sum() for where in parts.values()])
         squares.append(sums)
         counts.append(number)

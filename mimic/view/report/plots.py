@@ -61,7 +61,8 @@ def torque_over_time(calibration: Calibration) -> list[str]:
 
 
 def _over_time(calibration: Calibration, before: FloatArray, after: FloatArray, unit: str) -> list[str]:
-    traces, plots = calibration.traces, []
+    traces = calibration.traces
+    plots = []
     for j, joint in enumerate(calibration.joints):
         limit = max(_spread(before[:, j]), _spread(after[:, j]))
         rms = " → ".join(f"{figure(float(np.sqrt(np.nanmean(r[:, j] ** 2))))}" for r in (before, after))
@@ -81,7 +82,8 @@ def _over_time(calibration: Calibration, before: FloatArray, after: FloatArray, 
 
 def against_state(calibration: Calibration, unit: Unit) -> list[str]:
     """Return three plots for each joint: median and middle 80 % of the residual against velocity, torque, position."""
-    traces, plots = calibration.traces, []
+    traces = calibration.traces
+    plots = []
     angle = calibration.unit
     force = "N" if angle == "m" else "N m"
     for j, joint in enumerate(calibration.joints):
@@ -116,7 +118,8 @@ def _spread_of_bins(residual: FloatArray) -> float:
 def _binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the middle of each bin (B,), and the 10, 50 and 90 % quantiles of y in it (3, B)."""
     ok = np.isfinite(x) & np.isfinite(y)
-    x, y = x[ok], y[ok]
+    x = x[ok]
+    y = y[ok]
     if len(x) < 2 * BINS:
         return np.zeros(0), np.zeros((3, 0))
     order = np.argsort(x, kind="stable")
@@ -128,7 +131,8 @@ def spectra(calibration: Calibration, unit: Unit) -> list[str]:
     """Return a plot for each joint: amplitude density of the residual over frequency, and of white noise."""
     from scipy.signal import welch
 
-    traces, plots = calibration.traces, []
+    traces = calibration.traces
+    plots = []
     rate = 1.0 / float(np.median(np.diff(traces.t)))
     for j, joint in enumerate(calibration.joints):
         curves = {}
@@ -138,7 +142,8 @@ def spectra(calibration: Calibration, unit: Unit) -> list[str]:
             curves[kind] = _log_binned(hertz[1:], np.sqrt(power[1:]))
         floor = float(calibration.noise[j]) * unit.factor * np.sqrt(2.0 / rate)
         values = np.concatenate([c[1] for c in curves.values()])
-        low, high = min(values.min(), floor) * 0.7, max(values.max(), floor) * 1.4
+        low = min(values.min(), floor) * 0.7
+        high = max(values.max(), floor) * 1.4
         plot = Plot(
             x=(curves["before"][0][0], rate / 2),
             y=(max(low, high * 1e-6), high),

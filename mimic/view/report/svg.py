@@ -10,8 +10,14 @@ import numpy as np
 
 from mimic.records import BoolArray, FloatArray
 
-LEFT, RIGHT, TOP, BOTTOM = 46, 8, 20, 22
-"""Margins around the axes [px]."""
+LEFT = 46
+"""Margin on the left of the axes [px]."""
+RIGHT = 8
+"""Margin on their right [px]."""
+TOP = 20
+"""Margin above them [px]."""
+BOTTOM = 22
+"""Margin below them [px]."""
 
 
 def round_ticks(low: float, high: float, count: int = 4) -> list[float]:
@@ -80,8 +86,10 @@ class Plot:
         marks: tuple[bool, bool] = (True, True),
     ) -> None:
         self.width, self.height = size
-        self.log, self._marks = log, marks
-        self._x, self._y = self._range(x, log[0]), self._range(y, log[1])
+        self.log = log
+        self._marks = marks
+        self._x = self._range(x, log[0])
+        self._y = self._range(y, log[1])
         self._bottom = BOTTOM + (12 if x_label else 0)
         self._parts: list[str] = []
         self._over = [self._text(LEFT, 12, title, "title")] if title else []
@@ -95,7 +103,8 @@ class Plot:
     def _range(limits: tuple[float, float], log: bool) -> tuple[float, float]:
         low, high = limits
         if log:
-            low, high = math.log10(low), math.log10(high)
+            low = math.log10(low)
+            high = math.log10(high)
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
     def _at(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -103,8 +112,10 @@ class Plot:
             x = np.log10(np.maximum(x, 1e-300))
         if self.log[1]:
             y = np.log10(np.maximum(y, 1e-300))
-        (x0, x1), (y0, y1) = self._x, self._y
-        across, up = self.width - LEFT - RIGHT, self.height - TOP - self._bottom
+        (x0, x1) = self._x
+        (y0, y1) = self._y
+        across = self.width - LEFT - RIGHT
+        up = self.height - TOP - self._bottom
         px = LEFT + across * np.clip((x - x0) / (x1 - x0), -0.02, 1.02)
         return px, TOP + up * (1.0 - np.clip((y - y0) / (y1 - y0), -0.05, 1.05))
 

@@ -18,8 +18,12 @@ if TYPE_CHECKING:
     from mimic.robot.description import RobotDescription
 
 TIMELINE = "time"
-VIDEO, BODY, ROBOT = "/video", "/person", "/robot"
-"""Root entities of the three views."""
+VIDEO = "/video"
+"""Root entity of the view of the video."""
+BODY = "/person"
+"""Of the view of the person."""
+ROBOT = "/robot"
+"""Of the view of the robot."""
 EYE = f"{ROBOT}/eye"
 """Point on the floor that follows the robot; the camera looks at it."""
 

@@ -47,7 +47,8 @@ def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int
         balls = rr.Points3D.columns(positions=wrist[shown], colors=colours).partition(known[rows].astype(int))
         scene.send_columns(entity, indexes=layout.time_columns(t, pose.t), columns=balls)
     middle, known = skeleton.heads(pose, points)
-    middle, known = middle[rows], known[rows]
+    middle = middle[rows]
+    known = known[rows]
     entity = f"{layout.BODY}/head"
     style = rr.Ellipsoids3D.from_fields(colors=skeleton.CENTRE, fill_mode="Solid")
     scene.log(entity, style, static=True)

@@ -57,7 +57,8 @@ def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | No
     shown = log.aimed
     wanted = log.p_BE_des
     error = 100 * np.linalg.norm(log.p_BE - wanted, axis=-1)
-    target, actual = 100 * wanted @ R_BT, 100 * log.p_BE @ R_BT
+    target = 100 * wanted @ R_BT
+    actual = 100 * log.p_BE @ R_BT
     for i, (side, colour) in enumerate(zip(SIDES, (LEFT, RIGHT), strict=True)):
         yield Curve(plot=ERROR, name=side, colour=colour, width=2.0, t=t[shown], value=error[shown, i])
         if targets is not None:

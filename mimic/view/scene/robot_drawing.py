@@ -100,7 +100,8 @@ def _toes(
     description: RobotDescription,
     frames: FloatArray | None,
 ) -> None:
-    target, actual = in_world(qpos, log.p_BE_des), in_world(qpos, log.p_BE)
+    target = in_world(qpos, log.p_BE_des)
+    actual = in_world(qpos, log.p_BE)
     shown = np.flatnonzero(log.aimed & np.isfinite(target).all(axis=(1, 2)))
     if not len(shown):
         return

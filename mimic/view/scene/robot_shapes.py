@@ -16,8 +16,10 @@ from mimic.robot.model import TOES
 VISUAL_GROUP = 2
 """MuJoCo group of the visual geoms."""
 
-_BOX, _CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
-_ELLIPSOID, _CYLINDER = mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_CYLINDER
+_BOX = mujoco.mjtGeom.mjGEOM_BOX
+_CAPSULE = mujoco.mjtGeom.mjGEOM_CAPSULE
+_ELLIPSOID = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+_CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 _SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE
 
 KINDS = {_BOX: "box", _CAPSULE: "capsule", _ELLIPSOID: "ellipsoid", _CYLINDER: "cylinder", _SPHERE: "ellipsoid"}
@@ -93,11 +95,13 @@ def qpos_at_ticks(log: RunLog, model: mujoco.MjModel) -> FloatArray:
 def body_poses(model: mujoco.MjModel, qpos: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return position (ticks, bodies, 3) [m] and orientation (ticks, bodies, 4), wxyz, of every body in the world."""
     data = mujoco.MjData(model)
-    position, quat = np.empty((len(qpos), model.nbody, 3)), np.empty((len(qpos), model.nbody, 4))
+    position = np.empty((len(qpos), model.nbody, 3))
+    quat = np.empty((len(qpos), model.nbody, 4))
     for row, values in enumerate(qpos):
         data.qpos[:] = values
         mujoco.mj_kinematics(model, data)
-        position[row], quat[row] = data.xpos, data.xquat
+        position[row] = data.xpos
+        quat[row] = data.xquat
     return position, quat
 
 

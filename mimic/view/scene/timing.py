@@ -57,7 +57,8 @@ def frame_numbers(t: FloatArray, frames: FloatArray) -> IntArray:
     """
     step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
     number = np.searchsorted(frames, t + TIME_TOLERANCE, side="right") - 1
-    before, after = np.floor((t - frames[0] + TIME_TOLERANCE) / step), np.floor((t - frames[-1]) / step)
+    before = np.floor((t - frames[0] + TIME_TOLERANCE) / step)
+    after = np.floor((t - frames[-1]) / step)
     number = np.where(t < frames[0], before, number)
     return np.where(t > frames[-1], len(frames) - 1 + after, number).astype(np.int64)
 

@@ -102,6 +102,7 @@ class Beside:
 # ---------------------------------------------------------------------- before anything is sent
 
 
+@pytest.mark.slow
 def test_a_second_program_refuses_without_a_frame_while_one_drives_the_robot(robot, description):
     plant = driven(robot, description)
     motor_bus = MotorBus(Beside(robot, plant, description), load_wiring())
@@ -131,13 +132,21 @@ def test_motors_that_hold_a_robot_for_a_program_that_has_ended_are_not_dropped(r
     assert {motor.mode for motor in robot.motors} == {MotorMode.RUNNING}
 
 
+@pytest.mark.slow
 def test_damping_switches_off_what_a_program_left_on(reached, description):
     driven(reached, description)
     assert commissioning.damp_robot("can0", BUSES) == (True, "the robot was damped and all motors are off")
     assert {motor.mode for motor in reached.motors} == {MotorMode.OFF}
 
 
-@pytest.mark.parametrize("call", [commissioning.scan_robot, commissioning.zero_robot, commissioning.check_robot])
+@pytest.mark.parametrize(
+    "call",
+    [
+        pytest.param(commissioning.scan_robot, marks=pytest.mark.slow),
+        pytest.param(commissioning.zero_robot, marks=pytest.mark.slow),
+        commissioning.check_robot,
+    ],
+)
 def test_no_command_speaks_beside_a_program_that_drives(call, robot, description, monkeypatch):
     plant = driven(robot, description)
     for module in (session, driver):
@@ -222,9 +231,9 @@ def play(robot, description, frames: list[CanFrame], *, every: int = 10**6, tick
     "message",
     [
         HostMessage(Kind.OPERATION, 3, command=MotorCommand(q=0.0, dq=0.0, kp=10.0, kd=1.0, tau=1.0)),
-        HostMessage(Kind.STOP, 3),
-        HostMessage(Kind.ENABLE, 3, host=0x80),
-        HostMessage(Kind.SET_ZERO, 3, host=5),
+        pytest.param(HostMessage(Kind.STOP, 3), marks=pytest.mark.slow),
+        pytest.param(HostMessage(Kind.ENABLE, 3, host=0x80), marks=pytest.mark.slow),
+        pytest.param(HostMessage(Kind.SET_ZERO, 3, host=5), marks=pytest.mark.slow),
     ],
     ids=lambda message: type(message).__name__,
 )
@@ -242,6 +251,7 @@ def test_a_program_that_goes_on_commanding_damps_the_robot(robot, description):
     assert play(robot, description, frames, every=1).mode == SafetyMode.DAMP
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "message",
     [
@@ -253,6 +263,7 @@ def test_a_question_of_another_program_changes_nothing(message, robot, descripti
     assert play(robot, description, [CODEC.encode(message)]).mode == SafetyMode.RUN
 
 
+@pytest.mark.slow
 def test_a_feedback_to_another_host_is_no_answer_to_us(robot, description):
     plant, other = driven(robot, description), EmulatedLink(robot)
     other.send(0, CODEC.encode(HostMessage(Kind.ENABLE, 3, host=0x80)))  # from now on this motor answers that host
@@ -268,6 +279,7 @@ def test_a_feedback_to_another_host_is_no_answer_to_us(robot, description):
 # ---------------------------------------------------------------------- frames that do not concern us
 
 
+@pytest.mark.slow
 def test_frames_of_unknown_senders_and_further_outputs_of_the_imu_end_nothing(robot, description):
     plant, other = driven(robot, description), EmulatedLink(robot)
     strangers = [CanFrame(0x034, bytes(6), extended=False), CanFrame(0x041, bytes(6), extended=False)]
@@ -380,6 +392,7 @@ class DoublingLink(EmulatedLink):
         return received
 
 
+@pytest.mark.slow
 def test_two_motors_with_one_id_are_found_before_the_start_and_while_it_runs(robot, description):
     plant = robot_on_can(DoublingLink(robot), load_wiring(), description)
     plant.start()

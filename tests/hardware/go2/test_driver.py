@@ -179,6 +179,7 @@ def test_a_loss_of_5_percent_for_a_second_is_ridden_out_and_the_last_messages_da
     assert all(not one["kp"].any() and one["kd"][:12].min() == D.kd_max for one in last)
 
 
+@pytest.mark.slow
 def test_commands_of_others_are_counted_while_it_runs_and_said_at_the_end():
     bus, plant = made()
     plant.start()
@@ -216,6 +217,7 @@ def another_speaks(bus, since: float = 0.0):
     bus.hook = speak
 
 
+@pytest.mark.slow
 def test_two_robots_on_one_network_are_refused_by_name():
     bus, plant = made()
     another_speaks(bus)
@@ -229,6 +231,7 @@ def test_a_robot_that_is_announced_and_does_not_speak_yet_is_refused_too():
     assert "go2 two" in stops(found_by(plant))
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_switched_on_later_is_left_out_and_said_at_the_end():
     bus, plant = made()
     assert stops(found_by(plant)) == ""

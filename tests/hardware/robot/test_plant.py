@@ -187,6 +187,7 @@ def test_closing_damps_until_it_rests_and_switches_off(made, description):
     assert robot.now == before
 
 
+@pytest.mark.slow
 def test_it_brakes_with_all_that_the_motors_have(made, description):
     robot, plant = made()
     plant.start()
@@ -224,6 +225,7 @@ def test_a_motor_that_is_silent_at_the_start_is_named_and_nothing_is_switched_on
     assert modes(robot) == {MotorMode.OFF}
 
 
+@pytest.mark.slow
 def test_a_motor_with_a_fault_does_not_switch_on_and_the_others_are_switched_off_again(made):
     robot, plant = made("motor_fault:FL_knee=8@0")
     with pytest.raises(PlantError, match="FL_knee did not switch on"):
@@ -232,6 +234,7 @@ def test_a_motor_with_a_fault_does_not_switch_on_and_the_others_are_switched_off
     assert modes(robot) == {MotorMode.OFF}
 
 
+@pytest.mark.slow
 def test_a_motor_that_dies_is_named_at_the_end_and_the_others_are_off(made, description):
     robot, plant = made()
     plant.start()
@@ -250,6 +253,7 @@ def until_silent(plant, description, count: int = 10) -> list:
     return seen
 
 
+@pytest.mark.slow
 def test_an_adapter_that_is_pulled_is_a_robot_whose_motors_are_silent_and_closing_says_what_is_left(made, description):
     robot, plant = made()
     plant.start()
@@ -261,6 +265,7 @@ def test_an_adapter_that_is_pulled_is_a_robot_whose_motors_are_silent_and_closin
     assert "cut the power" in plant.ending
 
 
+@pytest.mark.slow
 def test_an_adapter_that_comes_back_is_used_to_stop(made, description):
     robot, plant = made()
     plant.start()
@@ -270,6 +275,7 @@ def test_an_adapter_that_comes_back_is_used_to_stop(made, description):
     assert modes(robot) == {MotorMode.OFF}
 
 
+@pytest.mark.slow
 def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(description):
     wiring = load_wiring(buses=2)
     robot = EmulatedRobot(description, wiring, EmulateSettings(zeroed=True))
@@ -289,7 +295,7 @@ def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(descripti
 # ---------------------------------------------------------------------- buses that fail
 
 
-@pytest.mark.parametrize("seconds", [0.03, 0.08])
+@pytest.mark.parametrize("seconds", [pytest.param(0.03, marks=pytest.mark.slow), 0.08])
 def test_a_bus_that_fails_for_a_moment_ends_nothing(seconds, made, description):
     robot, plant = made()
     plant.start()
@@ -303,6 +309,7 @@ def test_a_bus_that_fails_for_a_moment_ends_nothing(seconds, made, description):
     plant.close()
 
 
+@pytest.mark.slow
 def test_a_bus_that_takes_no_frames_but_still_hears_is_opened_again_to_damp(description):
     robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True, placement=0.02))
     link, opened = EmulatedLink(robot), []
@@ -331,6 +338,7 @@ def test_a_bus_that_takes_no_frames_but_still_hears_is_opened_again_to_damp(desc
     assert plant.ending == "the robot was damped and all motors are off"
 
 
+@pytest.mark.slow
 def test_a_bus_that_says_nothing_but_still_takes_frames_is_damped_blindly(made, description):
     robot, plant = made()
     plant.start()
@@ -351,6 +359,7 @@ def test_a_bus_that_says_nothing_but_still_takes_frames_is_damped_blindly(made, 
     assert "did not confirm" in plant.ending
 
 
+@pytest.mark.slow
 def test_motors_on_a_bus_that_works_get_their_commands_while_another_fails(description):
     wiring = load_wiring(buses=2)
     robot = EmulatedRobot(description, wiring, EmulateSettings(zeroed=True, placement=0.02))
@@ -397,6 +406,7 @@ def test_an_interpolated_command_goes_out_in_four_parts_on_a_line(made, descript
     np.testing.assert_allclose(tick.sent.q_des, lie + 0.1, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_voltage_and_the_time_of_answers_are_measured_while_it_runs(made, description):
     _, plant = made("under_voltage=19@1.0", "frames_late=0.02@2.0")
     plant.start()
@@ -411,6 +421,7 @@ def test_voltage_and_the_time_of_answers_are_measured_while_it_runs(made, descri
 # ---------------------------------------------------------------------- a sender that hangs or is gone
 
 
+@pytest.mark.slow
 def test_a_sender_that_pauses_for_a_moment_is_seen_and_nothing_ages_meanwhile(made, description):
     _, plant = made()
     plant.start()
@@ -441,6 +452,7 @@ def test_a_sender_that_hangs_ends_the_run_within_a_fifth_of_a_second(made, descr
     assert modes(robot) == {MotorMode.OFF}
 
 
+@pytest.mark.slow
 def test_a_loop_that_hangs_loses_the_robot_to_the_sender(made, description):
     robot, plant = made()
     plant.start()
@@ -505,6 +517,7 @@ def damps(plant, description, seconds: float) -> float:
     return last
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("out", [1.0, 5.0])
 def test_an_adapter_that_was_out_damps_with_the_first_frames_that_get_through(out, standing_up, description):
     robot, plant = standing_up
@@ -566,6 +579,7 @@ def disobeys(plant, description, *, damped: bool = False) -> str:
     return str(raised.value)
 
 
+@pytest.mark.slow
 def test_a_sender_that_keeps_its_old_target_is_ended(standing_up, description):
     _, plant = standing_up
     sender, kept = plant.link.sender, plant.link.sender._order
@@ -580,6 +594,7 @@ def test_a_sender_that_reports_and_sends_nothing_is_ended(standing_up, descripti
     assert "has sent nothing" in disobeys(plant, description)
 
 
+@pytest.mark.slow
 def test_a_sender_that_goes_on_driving_when_it_should_damp_is_ended(standing_up, description):
     _, plant = standing_up
     sender = plant.link.sender
@@ -589,7 +604,9 @@ def test_a_sender_that_goes_on_driving_when_it_should_damp_is_ended(standing_up,
     assert "another stiffness" in disobeys(plant, description, damped=True)
 
 
-@pytest.mark.parametrize("place", ["drive", "listen", "report"])
+@pytest.mark.parametrize(
+    "place", ["drive", pytest.param("listen", marks=pytest.mark.slow), pytest.param("report", marks=pytest.mark.slow)]
+)
 def test_an_exception_that_nobody_expects_damps_and_says_where_it_was(place, standing_up, description, monkeypatch):
     robot, plant = standing_up
     kind, broken = type(plant.link.driver), iter([True])
@@ -611,6 +628,7 @@ def test_an_exception_that_nobody_expects_damps_and_says_where_it_was(place, sta
     assert plant.link.sender.failure
 
 
+@pytest.mark.slow
 def test_a_sender_that_breaks_while_it_ends_leaves_the_robot_damped_and_says_what_it_does_not_know(
     standing_up, description, monkeypatch
 ):

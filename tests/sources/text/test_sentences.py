@@ -46,6 +46,7 @@ def test_none_is_silently_wrong(planned, reach):
     assert [s.text for s, motion in planned if motion is not None and not does(motion, s, reach)] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held_out", [False, True])
 def test_of_more_sentences_none_is_wrong_and_three_quarters_of_the_possible_are_executed(held_out, reach):
     outcomes = Counter()

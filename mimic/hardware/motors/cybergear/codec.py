@@ -32,8 +32,14 @@ MOTOR_IDS = 0x80
 DEFAULT_HOST = 0xFD
 """Id of a host in most libraries."""
 
-VELOCITY, TORQUE, KP, KD = (-30.0, 30.0), (-12.0, 12.0), (0.0, 500.0), (0.0, 5.0)
-"""Ranges in rad/s, N m, N m/rad and N m s/rad; manual 4.1.2 and 4.1.3."""
+VELOCITY = (-30.0, 30.0)
+"""Range of velocities [rad/s]; manual 4.1.2 and 4.1.3."""
+TORQUE = (-12.0, 12.0)
+"""Range of torques [N m]."""
+KP = (0.0, 500.0)
+"""Range of position gains [N m/rad]."""
+KD = (0.0, 5.0)
+"""Range of velocity gains [N m s/rad]."""
 
 TEMPERATURE = (0.0, 6553.5)
 """Range in degC, tenths; manual 4.1.3."""
@@ -138,13 +144,15 @@ class Codec:
         return self._to_motor(message) if isinstance(message, HostMessage) else self._to_host(message)
 
     def _to_motor(self, m: HostMessage) -> CanFrame:
-        area, data = m.host, bytes(8)
+        area = m.host
+        data = bytes(8)
         match m.kind:
             case Kind.OPERATION:
                 assert m.command is not None
                 q, dq, kp, kd, tau = m.command
                 words = (to_word(q, *self._position), to_word(dq, *VELOCITY), to_word(kp, *KP), to_word(kd, *KD))
-                area, data = to_word(tau, *TORQUE), struct.pack(">4H", *words)
+                area = to_word(tau, *TORQUE)
+                data = struct.pack(">4H", *words)
             case Kind.STOP:
                 data = bytes([m.value == 1]) + bytes(7)
             case Kind.SET_ZERO:
@@ -152,7 +160,8 @@ class Codec:
             case Kind.SET_ID:
                 if not 0 <= m.value < MOTOR_IDS:
                     raise FrameError(f"the new id is {m.value:g}; expected from 0 to {MOTOR_IDS - 1}")
-                area, data = int(m.value) << 8 | m.host, b"\x01" + bytes(7)
+                area = int(m.value) << 8 | m.host
+                data = b"\x01" + bytes(7)
             case Kind.READ:
                 parameter(m.index)
                 data = struct.pack("<H6x", m.index)
@@ -168,7 +177,8 @@ class Codec:
         return _frame(m.kind, area, m.motor, data)
 
     def _to_host(self, message: MotorMessage) -> CanFrame:
-        said, host = message.said, message.host
+        said = message.said
+        host = message.host
         match said:
             case Feedback():
                 words = (to_word(said.q, *self._position), to_word(said.dq, *VELOCITY), to_word(said.tau, *TORQUE))
@@ -195,7 +205,9 @@ class Codec:
             raise UnknownFrame(f"{frame} has an identifier of 11 bits; CyberGear's have 29")
         if len(frame.data) != 8:
             raise UnknownFrame(f"{frame} has {len(frame.data)} bytes; CyberGear's frames have 8")
-        number, area, destination = frame.id >> 24, frame.id >> 8 & 0xFFFF, frame.id & 0xFF
+        number = frame.id >> 24
+        area = frame.id >> 8 & 0xFFFF
+        destination = frame.id & 0xFF
         try:
             kind = Kind(number)
         except ValueError:
@@ -208,7 +220,8 @@ class Codec:
         return self._of_host(frame, kind, area, destination)
 
     def _of_motor(self, frame: CanFrame, kind: Kind, area: int, host: int) -> MotorMessage:
-        motor, data = area & 0xFF, frame.data
+        motor = area & 0xFF
+        data = frame.data
         if motor >= MOTOR_IDS:
             raise UnknownFrame(f"{frame} comes from the id {motor}; motors have ids below {MOTOR_IDS}")
         said: Feedback | ParameterValue | Identity | FaultReport
@@ -243,7 +256,8 @@ class Codec:
         return MotorMessage(said, host)
 
     def _of_host(self, frame: CanFrame, kind: Kind, area: int, motor: int) -> HostMessage:
-        host, data = area & 0xFF, frame.data
+        host = area & 0xFF
+        data = frame.data
         if kind is Kind.OPERATION:
             q, dq, kp, kd = struct.unpack(">4H", data)
             command = MotorCommand(
@@ -258,7 +272,8 @@ class Codec:
             if area >> 8 >= MOTOR_IDS:
                 raise UnknownFrame(f"{frame} sets the id {area >> 8}; motors have ids below {MOTOR_IDS}")
             return HostMessage(kind, motor, host, value=area >> 8)
-        index, value = 0, 0.0
+        index = 0
+        value = 0.0
         if kind in (Kind.READ, Kind.WRITE):
             index = _index_of(frame)
             if index not in PARAMETERS:

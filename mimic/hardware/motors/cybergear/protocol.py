@@ -48,9 +48,11 @@ TIMEOUT = 4000
 """What CAN_TIMEOUT is set to: 0.2 s if it counts 50 us as in the successor's firmware, 4 s if it counts milliseconds.
 Nobody has published which, nor that a public frame can set it."""
 
-COMMAND_BITS, FEEDBACK_BITS = 141.9, 137.5
-"""29-bit identifier, 8 bytes [bit]: means of 20 000 frames of each kind with the payloads of a moving robot, with
-exact stuffing and check sums."""
+COMMAND_BITS = 141.9
+"""Mean length of a command with its 29-bit identifier and 8 bytes [bit], over 20 000 frames with the payloads of a
+moving robot, with exact stuffing and check sums."""
+FEEDBACK_BITS = 137.5
+"""The same for feedback [bit]."""
 
 VOLTAGE = (16.0, 28.0)
 """Supply that a motor works with [V]; manual."""
@@ -140,7 +142,8 @@ class CyberGear:
             text = f"{_WORDS[message.kind]} for motor {message.motor} by {host}"
             commands = message.kind not in (Kind.DEVICE_ID, Kind.READ)
             return OtherHost(motor=message.motor, commands=commands, text=text)
-        said, ours = message.said, message.host == self._codec.host
+        said = message.said
+        ours = message.host == self._codec.host
         if isinstance(said, ParameterValue):
             register = _REGISTERS.get(said.index)
             if said.value is None:

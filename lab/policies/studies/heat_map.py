@@ -27,7 +27,7 @@ def shade(share: float) -> tuple[int, int, int]:
 
 
 def draw_heat_map(result: Mapping[str, Any], path: Path) -> None:
-    """Write the shares of `mimic.evaluation.robustness.evaluate_robustness` as a PNG file.
+    """Write the shares of `evaluate_robustness` as a PNG file.
 
     A frame marks the training range.
 

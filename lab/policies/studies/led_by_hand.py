@@ -1,4 +1,4 @@
-"""How well a robot lets itself be led by the hand: it follows a pull on a front toe, and stops when it is let go."""
+"""Being led by either front toe in any direction: shares of robots that follow, and that stop when they are let go."""
 
 from __future__ import annotations
 
@@ -8,54 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from mimic.config.evaluation import LeadSettings
-from mimic.config.leading import HandSettings
+from lab.policies.studies.settings import LeadSettings
 from mimic.config.play import Randomisation
-from mimic.control.loop import RunResult
 from mimic.evaluation.episode import OF_EPISODES, play_all
-from mimic.evaluation.leading import lead_robot
+from mimic.evaluation.leading import lead_figures, lead_robot
 from mimic.evaluation.policy import stands_at_end
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
 from mimic.records import SIDES
 from mimic.simulation.hand import Hand
 from mimic.simulation.plant import SimulatedPlant, plant_options
-
-STOPS_WITHIN = 1.0
-"""A robot that is let go should stand still from here on [s]."""
-
-FOLLOWS = 0.3
-"""It has followed if its toe is at most this far behind the hand when that lets go [m]."""
-
-STANDS_STILL = 0.08
-"""It has stopped if its mean velocity is at most this [m/s]: stepping in place it may sway and drift."""
-
-
-def lead_figures(result: RunResult, hand: Hand, settings: HandSettings) -> dict[str, Any]:
-    """Return how a robot was led: way and pull while it was, speed when it was let go."""
-    log, force = result.log, np.linalg.norm(hand.force, axis=1) if hand.force else np.zeros(1)
-    held = log.t[(log.t >= settings.begin) & (log.t < settings.end)]
-    figures: dict[str, Any] = {
-        "direction_deg": settings.direction,
-        "toe": settings.toe,
-        "fell_at_s": result.fell_at,
-        "pull_mean_n": float(force.mean()),
-        "pull_max_n": float(force.max()),
-    }
-    if result.fell_at is not None or len(held) < 2:
-        return figures | {"followed": False, "stopped": False}
-    first, last = np.searchsorted(log.t, held[[0, -1]])
-    way = float((log.p_WB[last] - log.p_WB[first]) @ hand.unit)
-    after = np.flatnonzero(log.t > settings.end + STOPS_WITHIN)
-    passed = log.p_WB[after[-1], :2] - log.p_WB[after[0], :2]
-    speed = float(np.linalg.norm(passed) / (log.t[after[-1]] - log.t[after[0]]))
-    return figures | {
-        "way_m": way,
-        "behind_m": hand.behind[-1],
-        "speed_after_m_s": speed,
-        "followed": hand.behind[-1] <= FOLLOWS,
-        "stopped": speed <= STANDS_STILL,
-    }
 
 
 def _play(job: tuple[int, LeadSettings], policy: Policy) -> dict[str, Any]:

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mimic.config.evaluation import TableSettings
-from mimic.evaluation.senses import SENSES, Senses, SensingPolicy
+from lab.policies.studies.senses import SENSES, Senses, SensingPolicy
+from lab.policies.studies.settings import TableSettings
 from mimic.policy.contract import AVERAGED, DQ_SCALE, GYRO_SCALE, PAPER_TERMS, TERMS
 from mimic.policy.runtime import Policy, load_policy
 

@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mimic.config.evaluation import TableSettings
-from mimic.dynamics.ground_contacts import GroundFacts, ground_facts, ground_parts
+from lab.policies.studies.ground_contacts import GroundFacts, ground_facts, ground_parts
+from lab.policies.studies.paper_columns import COLUMNS, PAPER, TERMINATIONS, WEIGHTS, terminations, terms
+from lab.policies.studies.paper_table import STATUE, Episode, evaluate_episode, evaluate_table, over_seeds
+from lab.policies.studies.settings import TableSettings
+from mimic.dynamics.robot_model import load_model
 from mimic.errors import AssetError
-from mimic.evaluation.paper_columns import COLUMNS, PAPER, STAND_STEPS, TERMINATIONS, WEIGHTS, terminations, terms
-from mimic.evaluation.paper_table import STATUE, Episode, evaluate_episode, evaluate_table, over_seeds
+from mimic.evaluation.paper_reward import STAND_STEPS
 from mimic.io.assets import shipped
 from mimic.io.store import plain
 from mimic.records import LEGS, RunLog
+from mimic.robot.description import load_description
 from mimic.robot.leg_kinematics import front_toes
 
 TICKS = 101
@@ -344,7 +347,6 @@ def test_a_statue_earns_all_but_what_walking_and_turning_are_worth(evaluated):
     assert columns["velocity"] < WEIGHTS["velocity"]
 
 
-@pytest.mark.slow
 def test_the_same_seeds_give_the_same_table(evaluated):
     one = dataclasses.replace(FEW, seeds=1, senses=(NOISE,))
     again = evaluate_table(shipped("policies", "stand_track.onnx"), one)["episodes"][NOISE]
@@ -352,12 +354,19 @@ def test_the_same_seeds_give_the_same_table(evaluated):
     assert json.dumps(plain(again)) == json.dumps(plain(first))
 
 
-@pytest.mark.slow
 def test_a_policy_that_only_lies_has_a_table_too(tmp_path, constant_onnx):
     one = dataclasses.replace(FEW, episodes=1, seeds=1, senses=(NOISE,))
     result = evaluate_table(constant_onnx(tmp_path / "useless.onnx"), one)
     assert result["table"][NOISE]["contacts"]["columns"]["toes"]["mean"] < 0.5
     assert len(result["episodes"][NOISE]["contacts"]) == 1
+
+
+@pytest.mark.parametrize("robot", ["cyberdog2", "go2"])
+def test_the_parts_that_may_touch_are_collision_shapes_of_the_robot(robot):
+    of_robot = load_description(robot)
+    model = load_model(of_robot)
+    shapes = {model.geom(g).name for g in range(model.ngeom)}
+    assert set().union(*ground_parts(of_robot).values()) <= shapes
 
 
 def test_a_policy_that_is_not_there_is_refused(tmp_path):

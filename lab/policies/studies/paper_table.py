@@ -14,14 +14,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mimic.config.evaluation import TableSettings
-from mimic.config.play import RunSettings
-from mimic.dynamics.ground_contacts import GroundFacts, ground_facts, ground_parts
-from mimic.evaluation.episode import OF_EPISODES, play_all, play_episode
-from mimic.evaluation.paper_columns import (
+from lab.policies.studies.ground_contacts import GroundFacts, ground_facts, ground_parts
+from lab.policies.studies.paper_columns import (
     COLUMNS,
     PAPER,
-    STAND_STEPS,
     TERMINATIONS,
     WEIGHTS,
     near_limits,
@@ -29,9 +25,13 @@ from mimic.evaluation.paper_columns import (
     terms,
     velocity_error,
 )
+from lab.policies.studies.senses import SENSES, SensingPolicy
+from lab.policies.studies.settings import TableSettings
+from lab.policies.studies.walking import evaluate_walking
+from mimic.config.play import RunSettings
+from mimic.evaluation.episode import OF_EPISODES, play_all, play_episode
+from mimic.evaluation.paper_reward import STAND_STEPS
 from mimic.evaluation.policy import command_script
-from mimic.evaluation.senses import SENSES, SensingPolicy
-from mimic.evaluation.walking import evaluate_walking
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy

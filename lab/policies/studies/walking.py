@@ -9,8 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from lab.policies.studies.disturbance_axes import START
 from mimic.config.evaluation import EpisodeSettings
-from mimic.evaluation.disturbance_axes import START
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
 from mimic.evaluation.policy import asked_by, forward_speed
 from mimic.geometry import heading_from_quat

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mimic.config.evaluation import RobustnessSettings
+from lab.policies.studies import robustness
+from lab.policies.studies.disturbance_axes import AXES, START, all_at_once
+from lab.policies.studies.robustness import SOLVERS, evaluate_robustness, holds
+from lab.policies.studies.settings import RobustnessSettings
 from mimic.config.play import NO_DISTURBANCE, Disturbance, Randomisation, Solver
 from mimic.errors import AssetError
-from mimic.evaluation import robustness
-from mimic.evaluation.disturbance_axes import AXES, START, all_at_once
-from mimic.evaluation.robustness import SOLVERS, evaluate_robustness, holds
 from mimic.io.assets import shipped
 
 
@@ -84,7 +84,6 @@ def small(monkeypatch) -> None:
 
 
 @pytest.mark.usefixtures("small")
-@pytest.mark.slow
 def test_shares_fall_where_a_robot_is_dragged_off_or_commanded_with_delay():
     seen: list[tuple[int, int]] = []
     path = shipped("policies", "stand_track.onnx")

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from mimic.config.evaluation import RobustnessSettings
+from lab.policies.studies.disturbance_axes import AXES, START, World, all_at_once
+from lab.policies.studies.settings import RobustnessSettings
 from mimic.config.play import NO_DISTURBANCE, Randomisation, Solver
 from mimic.config.training import TRAINING_RANDOMISATION
 from mimic.errors import PlantError
-from mimic.evaluation.disturbance_axes import AXES, START, World, all_at_once
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
 from mimic.evaluation.policy import asked_by, stands_at_end
 from mimic.jobs.local import Progress

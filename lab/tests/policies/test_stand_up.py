@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from mimic.config.evaluation import StandUpSettings
+from lab.policies.studies.settings import StandUpSettings
+from lab.policies.studies.stand_up import evaluate_stand_up, summarise
 from mimic.errors import AssetError
-from mimic.evaluation.stand_up import evaluate_stand_up, summarise
 from mimic.io.assets import shipped
 from mimic.io.store import plain
 
@@ -35,7 +35,6 @@ def test_the_shipped_policy_stands_up_and_stays_inside_its_motors(evaluated):
     assert s["still_drift_mean_m"] <= s["still_drift_max_m"] <= s["still_farthest_m"] < 0.5
 
 
-@pytest.mark.slow
 def test_the_same_seeds_give_the_same_figures(evaluated):
     one = replace(FEW, episodes=1)
     again = evaluate_stand_up(shipped("policies", "stand_track.onnx"), one)["episodes"]
@@ -53,7 +52,6 @@ def test_a_start_counts_when_it_is_upright_in_time_and_kept_when_it_stays_so(des
     assert s["stand_up_median_s"] == pytest.approx(1.25)
 
 
-@pytest.mark.slow
 def test_a_policy_that_only_falls_is_evaluated_too(tmp_path, constant_onnx):
     s = evaluate_stand_up(constant_onnx(tmp_path / "useless.onnx"), replace(FEW, episodes=1))["summary"]
     assert s["upright_in_time_and_kept"] == 0.0

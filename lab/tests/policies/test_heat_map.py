@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from lab.policies.studies.heat_map import CELL, draw_heat_map, shade
 from mimic.errors import AssetError
-from mimic.view.report.robustness import CELL, draw_heat_map, shade
 
 
 def result(*shares: float) -> dict:

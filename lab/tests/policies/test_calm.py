@@ -6,9 +6,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from mimic.config.evaluation import CalmSettings
+from lab.policies.studies.calm import (
+    STANDING,
+    _Planted,
+    evaluate_calm,
+    fast_share,
+    still_figures,
+    summarise,
+    winding_heat,
+)
+from lab.policies.studies.settings import CalmSettings
 from mimic.dynamics.robot_model import load_model
-from mimic.evaluation.calm import STANDING, _Planted, evaluate_calm, fast_share, still_figures, summarise, winding_heat
 from mimic.io.assets import shipped
 from mimic.records import JOINTS, JointSamples
 
@@ -71,7 +79,6 @@ def evaluated():
     return evaluate_calm(shipped("policies", "stand_track.onnx"), few)
 
 
-@pytest.mark.slow
 def test_the_shipped_policy_stands_and_has_every_figure(evaluated):
     s = evaluated["summary"]
     assert set(s["standing"]) == set(STANDING)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.config.evaluation import StandUpSettings
+from lab.policies.studies.settings import StandUpSettings
 from mimic.config.play import NOMINAL, Randomisation
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
 from mimic.evaluation.policy import STOOD_WITHIN, standing_track, stands_at_end

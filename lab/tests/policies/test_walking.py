@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.policies.studies import walking
+from lab.policies.studies.walking import ARMS, evaluate_walking, swing_heights
 from mimic.config.evaluation import EpisodeSettings
-from mimic.evaluation import walking
-from mimic.evaluation.walking import ARMS, evaluate_walking, swing_heights
 from mimic.io.assets import shipped
 
 

@@ -15,11 +15,11 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from mimic.config.evaluation import CalmSettings
+from lab.policies.studies.senses import SENSES, Senses, SensingPolicy
+from lab.policies.studies.settings import CalmSettings
 from mimic.config.play import Disturbance, Solver
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
 from mimic.evaluation.policy import standing_track, stands_at_end
-from mimic.evaluation.senses import SENSES, Senses, SensingPolicy
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, LEGS, SIDES, BoolArray, FloatArray, JointSamples
