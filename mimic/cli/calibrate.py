@@ -41,16 +41,17 @@ def calibrate(
     compare
         Log of another unit of the machine: say which effect differs between the two. Nothing is written.
     out
-        Folder for report.html, calibration.json and effects.toml; default: calibration/NAME.
+        Folder for report.html, calibration.json, effects.toml, model.xml and actuators.json; default:
+        calibration/NAME.
     """
-    from mimic.flows.calibrate import EFFECTS, REPORT, RESULT
+    from mimic.flows.calibrate import ACTUATORS, EFFECTS, MODEL, REPORT, RESULT
     from mimic.flows.calibrate import calibrate as explain
 
     if compare is not None:
         return _compare(logs, compare, model, settings, note)
     folder = out or Path("calibration") / (logs[0].stem if logs else "log")
     result = explain(list(logs), model, settings, held_out=held_out, notes=note, out=folder, reporter=ConsoleReporter())
-    files = [folder / name for name in (REPORT, RESULT, EFFECTS)]
+    files = [folder / name for name in (REPORT, RESULT, EFFECTS, MODEL, ACTUATORS)]
     _show(result, [file for file in files if file.exists()])
     return DONE if result.log_matches_model else USER_ERROR
 

@@ -67,6 +67,8 @@ def write_mjcf(source: Path, machine: MachineModel, effects: EffectSet, out: Pat
     """
     spec: Any = mujoco.MjSpec.from_file(str(source))
     make_room(spec)
+    spec.meshdir = str((source.parent / spec.meshdir).resolve())
+    spec.texturedir = str((source.parent / spec.texturedir).resolve())
     numbers = joint_settings(machine, effects)
     for actuator in list(spec.actuators):
         spec.delete(actuator)

@@ -27,6 +27,10 @@ REPORT = "report.html"
 """Report of a calibration."""
 RESULT = "calibration.json"
 """Its figures."""
+MODEL = "model.xml"
+"""… the MJCF with what was found, of a machine whose drives control torque."""
+ACTUATORS = "actuators.json"
+"""… the same as actuator settings of mjlab and Isaac Lab."""
 EFFECTS = "effects.toml"
 """Its effects, as simulation and training read them."""
 
@@ -50,7 +54,7 @@ def calibrate(
         notes: Extra metadata: KEY=VALUE for all logs, FILE:KEY=VALUE for one.
         model: MJCF whose base is held, or a machine; by default the CyberDog 2 hung up.
         settings: How the log is explained.
-        out: Also write report.html, calibration.json and effects.toml into this folder.
+        out: Also write report.html, calibration.json, effects.toml, model.xml and actuators.json into this folder.
         reporter: Receives progress; warnings are in the result.
 
     Returns:
@@ -94,7 +98,19 @@ def calibrate(
     result = _signed(result, name, warnings, store.plain(provenance(settings, files)))
     if out is not None:
         save_calibration(result, out)
+        if isinstance(model, (str, Path)) and result.log_matches_model:
+            _save_model(Path(model), machine, result, out)
     return result
+
+
+def _save_model(source: Path, machine: MachineModel, result: Calibration, out: Path) -> None:
+    """Write the machine with its effects for other programs; what they cannot hold is named in ACTUATORS."""
+    from mimic.dynamics.written_model import actuator_settings, write_mjcf
+
+    if machine.drives.volts is not None:
+        return
+    write_mjcf(source, machine, result.effects, out / MODEL)
+    store.save_json(actuator_settings(machine, result.effects), out / ACTUATORS)
 
 
 def _log_name(index: int) -> str:

@@ -19,6 +19,16 @@ ARM = """<mujoco><compiler angle="radian"/><option timestep="0.0005"/><worldbody
 
 JOINTS = ("a", "b")
 
+TETRAHEDRON = """v 0 0 0
+v 0.1 0 0
+v 0 0.1 0
+v 0 0 0.1
+f 1 3 2
+f 1 2 4
+f 1 4 3
+f 2 3 4
+"""
+
 
 def effect(name, joints=JOINTS, **values):
     return EffectValues(name=name, joints=joints, values={k: np.atleast_1d(v) for k, v in values.items()})
@@ -95,6 +105,18 @@ def test_the_mjcf_moves_in_mujoco_as_the_effects_written_into_it_by_hand(source,
 def test_a_machine_without_effects_stays_as_it_is(source, tmp_path):
     write_mjcf(source, read_machine(source), EffectSet(()), tmp_path / "same.xml")
     assert played(tmp_path / "same.xml", 0.0) == pytest.approx(played(source, 0.0), abs=1e-9)
+
+
+def test_meshes_are_still_found_from_another_folder(source, tmp_path):
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes/hull.obj").write_text(TETRAHEDRON, encoding="utf-8")
+    text = ARM.replace('angle="radian"', 'angle="radian" meshdir="shapes"')
+    text = text.replace("<worldbody>", '<asset><mesh name="hull" file="hull.obj"/></asset><worldbody>')
+    text = text.replace("</body></body>", '<geom type="mesh" mesh="hull" mass="0"/></body></body>')
+    source.write_text(text, encoding="utf-8")
+    (tmp_path / "out").mkdir()
+    write_mjcf(source, read_machine(source), EffectSet(()), tmp_path / "out/model.xml")
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "out/model.xml")).nmesh == 1
 
 
 def test_actuator_settings_have_the_names_of_mjlab_and_isaac_lab(source):
