@@ -22,7 +22,7 @@ from mimic.robot.description import FILE, RobotDescription, load_description
 from mimic.robot.model import leave_out, name_shapes, read_model
 
 _UPPER_NAMES = (LEGS, ("FL", "FR", "HL", "HR"), ("LF", "RF", "LH", "RH"))
-LEG_NAMES = (*_UPPER_NAMES, *(tuple(leg.lower() for leg in names) for names in _UPPER_NAMES))
+LEG_NAMES = (*_UPPER_NAMES, *(tuple(" ".join(names).lower().split()) for names in _UPPER_NAMES))
 """What models call their legs, in the order of LEGS."""
 INSIDE = 0.05
 """Distance of the poses from the joint limits [rad]."""
@@ -289,7 +289,7 @@ def _pose(
         hips = np.linspace(low[2, 1] + INSIDE, high[2, 1] - INSIDE, 40)
         off = np.array([placed(hip, knee)[2] for hip in hips])
         turns = np.flatnonzero(np.diff(np.sign(off)))
-        found = [brentq(lambda hip: placed(hip, knee)[2], hips[at], hips[at + 1]) for at in turns]
+        found: list[Any] = [brentq(lambda hip: placed(hip, knee)[2], hips[at], hips[at + 1]) for at in turns]
         return [hip for hip in found if below_the_hips(placed(hip, knee)[1])]
 
     def below_the_hips(points: FloatArray) -> bool:
