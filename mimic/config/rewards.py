@@ -15,9 +15,9 @@ class RewardWeights:
     alive: float = 0.5
     """1 in each control step."""
     height: float = 0.6
-    """Base at the height of now."""
+    """Base height follows the stand-up schedule."""
     upright: float = 1.0
-    """Trunk at the lean of now."""
+    """Trunk tilt follows the stand-up schedule."""
     velocity: float = 10.0
     """Base velocity as asked."""
     heading: float = 4.0
@@ -25,7 +25,7 @@ class RewardWeights:
     gait: float = 20.0
     """Hind feet that step with the clock, or stand planted while the robot is asked to stand."""
     drift: float = -40.0
-    """Way from where the robot came to rest [per m]."""
+    """Distance from the rest position [per m]."""
     slip: float = -4.0
     """Squared speed and turning of toes on the ground [per m^2/s^2]."""
     foot_shift: float = -8.0

@@ -208,7 +208,7 @@ class PolicyContract:
     training: str = ""
     """SHA-256 of the settings.json of its training."""
     noise: tuple[tuple[str, float], ...] = ()
-    """Half width of the noise of the training on terms, in their units; none is said where it is empty."""
+    """Half width of the training noise on each term, in its units. Empty: not recorded."""
 
     @property
     def frame_size(self) -> int:

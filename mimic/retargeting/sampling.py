@@ -14,7 +14,7 @@ from mimic.records import BoolArray, FloatArray, IntArray
 HOLD = 0.3
 """How long a hand that is not seen stays where it was, or where it will be seen again [s]."""
 EASE = 0.7
-"""How long it then takes to where it waits [s]."""
+"""Time to ease to rest [s]."""
 GLIMPSE = 0.25
 """An arm that is seen for less than this between long gaps counts as not seen [s]."""
 PROMINENCE = 0.015

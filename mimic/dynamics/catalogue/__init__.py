@@ -68,10 +68,7 @@ def unit_of(name: str, parameter: str, positions: str = "rad") -> str:
 
 
 def scale_of(unit: str, position: float, speed: float, acceleration: float, torque: float) -> float:
-    """Return how large a number of this unit is on a machine whose motion and torque have these root mean squares.
-
-    1 for units without a scale.
-    """
+    """Return the typical size of a parameter of this unit, from RMS motion and torque; 1 for units without a scale."""
     return {
         "N m": torque,
         "N m s/rad": torque / speed,

@@ -46,7 +46,7 @@ _MOMENT = 1e-6
 """Times that differ by less are the same [s]."""
 
 GIVE_UP = 30.0
-"""A robot that nothing reaches is tried for this long [s]."""
+"""Time before giving up on an unreachable robot [s]."""
 
 
 class State(IntEnum):

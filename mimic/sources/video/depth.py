@@ -3,8 +3,7 @@
 A small network looks at two seconds of landmarks, in the picture and as the detector places them, and says for each arm
 how far elbow and wrist lie behind the shoulder, and how sure that is. It sees one arm at a time, as if it were the left
 one. It was trained on rendered people (assets/depth/README.md), and knows the motion of real ones better than their
-average pose, which is therefore in part the detector's. Of a camera the future is not known: the newest row stands for
-it, as at the end of a clip.
+average pose, which is therefore in part the detector's. Live, the newest row is repeated, as the future is unknown.
 
 Across and up, the arms come from the picture, with perspective.
 """
