@@ -243,6 +243,7 @@ def test_a_command_of_another_program_makes_the_robot_sit_down(message, robot, d
     assert (supervisor.decisive.rule, supervisor.decisive.mode) == ("other_program", SafetyMode.SIT_DOWN)
 
 
+@pytest.mark.slow
 def test_a_program_that_goes_on_commanding_damps_the_robot(robot, description):
     frames = [
         CODEC.encode(HostMessage(Kind.OPERATION, n, command=MotorCommand(q=0.0, dq=0.0, kp=10.0, kd=1.0, tau=0.0)))

@@ -587,6 +587,7 @@ def test_a_sender_that_keeps_its_old_target_is_ended(standing_up, description):
     assert "other targets" in disobeys(plant, description)
 
 
+@pytest.mark.slow
 def test_a_sender_that_reports_and_sends_nothing_is_ended(standing_up, description):
     _, plant = standing_up
     driver = plant.link.driver
