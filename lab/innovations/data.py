@@ -108,6 +108,7 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
     d = machine.drives
     volts = np.zeros(len(machine.joints)) if d.volts is None else np.asarray(d.volts, dtype=float)
     asked = log.q_des if log.q_des is not None else np.zeros_like(log.q)
+    block = _blocks(t, which)
     record = Record(
         t=t,
         y=y,
@@ -115,6 +116,7 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         since=t - np.array([p.begin for p in parts])[which],
         fresh=fresh,
         settled=since >= np.minimum(SEEK, SHARE * length),
+        lead=_leads(t, block, fresh),
         sent=np.zeros(0),
         goal=np.zeros((0, len(machine.joints))),
         force=np.zeros_like(log.q) if log.force is None else np.array(log.force),
@@ -128,7 +130,6 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         ohm=np.ones_like(volts) if d.resistance is None else np.asarray(d.resistance, dtype=float),
         neighbour=np.asarray(d.neighbour),
     )
-    block = _blocks(t, which)
     fold, whole = _folds(record, block)
     spread = noise_floor(np.where(np.isfinite(log.q), log.q, 0.0), log.rate)
     made = Data(
@@ -174,6 +175,20 @@ def _blocks(t: FloatArray, which: IntArray) -> IntArray:
         block[rows] = count + np.minimum(since / since[-1] * pieces, pieces - 1).astype(int)
         count += pieces
     return block
+
+
+def _leads(t: FloatArray, block: IntArray, fresh: BoolArray) -> IntArray:
+    """Return for each row what a second state does, which finds the start of the next block in the last `SEEK`."""
+    lead = np.zeros(len(t), dtype=int)
+    for rows in np.split(np.arange(len(t)), np.flatnonzero(np.diff(block) > 0) + 1):
+        after = int(rows[-1]) + 1
+        if after == len(t) or fresh[after]:
+            continue
+        begin = max(int(np.searchsorted(t, t[after - 1] - SEEK)), int(rows[0]), int(np.flatnonzero(fresh[:after])[-1]) + 1)
+        if begin < after - 1:
+            lead[begin:after] = 2
+            lead[begin], lead[after - 1] = 1, 3
+    return lead
 
 
 def _folds(record: Record, block: IntArray) -> tuple[IntArray, str]:

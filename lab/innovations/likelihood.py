@@ -15,8 +15,8 @@ FREEDOM = 8.0
 DECAY = 0.1
 """Time constant of the unknown torque [s]: slower than a reading, faster than a motion."""
 
-STRONG = 0.1
-"""Unknown torque while the start is sought, as a share of the torque of the joint."""
+FOLLOWING = 0.1
+"""Unknown torque while readings are followed, as a share of the torque of the joint."""
 
 SPEED_NOISE, LEAST_NOISE = 0.05, 1e-7
 """Share of the unknown torque that acts on the speed at once, and least noise of a state: keep gains finite."""
@@ -52,7 +52,9 @@ def weights(e: FloatArray, scale: FloatArray, data: Data) -> FloatArray:
 
 
 class Gains:
-    """Steady Kalman gains of a position, speed and unknown torque in each joint, remembered."""
+    """Steady Kalman gains of a position, speed and unknown torque in each joint (L, 2, J, 3): before and after a start is
+    found.
+    """
 
     def __init__(self, data: Data, inertia: FloatArray, damping: FloatArray, torque: FloatArray) -> None:
         """Take what the gains follow from.
@@ -64,26 +66,17 @@ class Gains:
             torque: Usual torque of each joint (J,) [N m].
         """
         self._data, self._inertia, self._damping, self.torque = data, inertia, damping, torque
-        self._known: dict[tuple[int, int, float], FloatArray] = {}
         record = data.record
         steps = np.diff(record.t)
         self._steps = [float(np.median(steps[(record.log[1:] == k) & ~record.fresh[1:]])) for k in range(data.logs)]
-
-    def of(self, unknown: FloatArray) -> FloatArray:
-        """Return the gains (L, 2, J, 3) at these sizes of the unknown torque (J,) [N m]; none where it is 0."""
-        out = np.zeros((self._data.logs, 2, self._data.joints, 3))
-        for log in range(self._data.logs):
-            for j in range(self._data.joints):
-                out[log, 0, j] = self._gain(log, j, STRONG * self.torque[j])
-                if unknown[j] > 0.0:
-                    out[log, 1, j] = self._gain(log, j, float(unknown[j]))
-        return out
-
-    def _gain(self, log: int, j: int, size: float) -> FloatArray:
-        key = (log, j, size)
-        if key not in self._known:
-            self._known[key] = self._steady(log, j, size)
-        return self._known[key]
+        self.following = np.zeros((data.logs, 2, data.joints, 3))
+        """Of a pass that follows every reading."""
+        for log in range(data.logs):
+            for j in range(data.joints):
+                self.following[log, :, j] = self._steady(log, j, FOLLOWING * torque[j])
+        self.ahead = self.following.copy()
+        """Of a pass that predicts, after its start, to the end of a block."""
+        self.ahead[:, 1] = 0.0
 
     def _steady(self, log: int, j: int, size: float) -> FloatArray:
         record, mass, h = self._data.record, float(self._inertia[j]), self._steps[log]

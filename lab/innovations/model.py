@@ -29,9 +29,6 @@ COARSE = 2.0 * STEP, 4.0 * STEP
 PART = 0.5, 0.1
 """Change of a number for a derivative, in differences that matter: of an effect with a threshold, and of others."""
 
-LEVELS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 0.6, 0.35)])
-"""Sizes of the unknown torque that are tried, as shares of the torque of a joint: factors of 2.2."""
-
 Key = tuple[str, str]
 
 
@@ -69,25 +66,24 @@ class Passes:
         made.data, made._arrays = data, arrays_of(data.tree, data.record)
         return made
 
-    def run(self, points: Sequence[FloatArray], gains: Sequence[FloatArray], step: float = STEP) -> list[FloatArray]:
-        """Return innovations (T, J) of some tables of numbers with their gains."""
+    def run(self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP) -> list[FloatArray]:
+        """Return errors (T, J) of some tables of numbers."""
         return [self.data.record.y - made[0] for made in self.whole(points, gains, step)]
 
     def whole(
-        self, points: Sequence[FloatArray], gains: Sequence[FloatArray], step: float = STEP
+        self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         """Return predicted readings, unknown torques and torques of the motors (T, J) of each."""
 
-        def one(item: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
-            made = predict(self._arrays, item[0], item[1], DECAY, step)
+        def one(table: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+            made = predict(self._arrays, table, gains, DECAY, step)
             return made[0], made[1], made[2]
 
         self._counted[0] += len(points)
-        pairs = list(zip(points, gains, strict=True))
-        if self.threads > 1 and len(pairs) > 1:
+        if self.threads > 1 and len(points) > 1:
             with ThreadPoolExecutor(self.threads) as pool:
-                return list(pool.map(one, pairs))
-        return [one(pair) for pair in pairs]
+                return list(pool.map(one, points))
+        return [one(point) for point in points]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,8 +155,6 @@ class Model:
     free: tuple[Free, ...]
     table: FloatArray
     """Numbers (S, J)."""
-    unknown: FloatArray
-    """Size of the unknown torque (J,) [N m]."""
     effects: tuple[tuple[str, tuple[int, ...]], ...] = ()
     """Effects beside the baseline, with their joints."""
     e: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -204,30 +198,19 @@ class Model:
             out[k] = (x <= low + near and descent[k] < 0.0) or (x >= high - near and descent[k] > 0.0)
         return out
 
-    def judged(self, e: FloatArray, table: FloatArray | None = None, unknown: FloatArray | None = None) -> Model:
-        """Return the model with innovations, their scale and cost."""
-        made = replace(
-            self,
-            table=self.table if table is None else table,
-            unknown=self.unknown if unknown is None else unknown,
-            e=e,
-            scale=scales(e, self.data),
-            columns=None,
-        )
-        cost = float(misfit(e, made.scale, self.data).sum()) + made.implausible(made.values())
-        return replace(made, cost=cost if np.isfinite(cost) else np.inf)
-
     def evaluated(self, step: float = STEP) -> Model:
         """Return the model after a pass."""
-        gains = self.setting.gains.of(self.unknown)
-        return self.judged(self.setting.passes.run([self.table], [gains], step)[0])
+        (e,) = self.setting.passes.run([self.table], self.setting.gains.ahead, step)
+        made = replace(self, e=e, scale=scales(e, self.data), columns=None)
+        cost = float(misfit(e, made.scale, self.data).sum()) + made.implausible(made.values())
+        return replace(made, cost=cost if np.isfinite(cost) else np.inf)
 
     def differentiated(self) -> Model:
         """Return the model with derivatives; numbers of chains apart share a pass."""
         if self.columns is not None:
             return self
         data, x = self.data, self.values()
-        gains = self.setting.gains.of(self.unknown)
+        gains = self.setting.gains.ahead
         shift = np.zeros(len(x))
         for k, f in enumerate(self.free):
             rough = CATALOGUE[f.key[0]].structural
@@ -238,7 +221,7 @@ class Model:
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
         stiff = any(CATALOGUE[name].structural for name, _ in self.effects)
         step = COARSE[0] if stiff else COARSE[1]
-        *moved, still = self.setting.passes.run([*tables, self.table], [gains] * (len(tables) + 1), step)
+        *moved, still = self.setting.passes.run([*tables, self.table], gains, step)
         columns = np.zeros((len(x), *self.e.shape))
         reach = self._reach()
         for k in range(len(x)):
@@ -259,9 +242,15 @@ class Model:
         return weighed @ c.T, -(weighed @ e[used])
 
     def numbers(self) -> float:
-        """Return how many numbers the logs determine, beside what is plausible of them."""
-        hessian, prior = self.differentiated().normal()[0], self.plausibility(self.values())[0]
-        return float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), hessian)))
+        """Return how many numbers the logs determine, each as often as errors repeat themselves within a block: once where
+        they are independent. Source: Takeuchi 1976; Varin and Vidoni 2005.
+        """
+        now = self.differentiated()
+        assert now.columns is not None
+        pull = weights(now.e, now.scale, now.data) * np.nan_to_num(now.e)
+        blocks = [np.bincount(now.data.block, (c * pull).sum(axis=1), len(now.data.fold)) for c in now.columns]
+        hessian, prior = now.normal()[0], now.plausibility(now.values())[0]
+        return float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), np.cov(blocks) * len(now.data.fold))))
 
     def plausibility(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the same of what is plausible, at values (P,)."""
@@ -325,51 +314,6 @@ class Model:
                 return trial, max(damping / 8.0, 1e-6)
             damping *= 8.0
         return None, damping
-
-    def sized(self) -> tuple[Model, bool]:
-        """Return the model with the likeliest unknown torque in each joint, and whether that is another one."""
-        now, changed = self if len(self.e) else self.evaluated(), False
-        for j in range(self.data.joints):
-            for way in (-1, 1):
-                while (trial := now._other_size(j, way)) is not None and trial.cost < now.cost - 0.5:
-                    now, changed = trial, True
-        return now, changed
-
-    def _other_size(self, j: int, way: int) -> Model | None:
-        levels = LEVELS * self.setting.gains.torque[j]
-        k = int(np.argmin(np.abs(levels - self.unknown[j]))) + way
-        if not 0 <= k < len(levels):
-            return None
-        unknown = self.unknown.copy()
-        unknown[j] = levels[k]
-        return replace(self, unknown=unknown, columns=None).evaluated()
-
-    def settled(self, rounds: int = 3, most: int = 5) -> Model:
-        """Return the model with numbers and unknown torque at their likeliest, in turn."""
-        now = self.fitted(most)
-        for _ in range(rounds):
-            now, changed = now.sized()
-            if not changed:
-                break
-            now = now.fitted(most)
-        return now
-
-    def elsewhere(self) -> Model:
-        """Return the better of this model and of those found from a smaller and a larger unknown torque."""
-        best = self
-        for by in (0.25, 4.0):
-            levels = LEVELS[:, None] * self.setting.gains.torque
-            nearest = np.argmin(np.abs(levels - by * self.unknown), axis=0)
-            unknown = levels[nearest, np.arange(self.data.joints)]
-            trial = replace(self, unknown=unknown, columns=None).evaluated().fitted(4)
-            trial = trial.sized()[0].fitted(3)
-            if trial.cost < best.cost - 1.0:
-                best = trial
-        return best
-
-    def without_unknown(self, most: int = 3) -> Model:
-        """Return the model fitted as a plain replay, without any correction after its start."""
-        return replace(self, unknown=np.zeros(self.data.joints), columns=None).evaluated().fitted(most)
 
     def left_out(self) -> FloatArray:
         """Return the innovations (T, J) after one step of Gauss and Newton, for each fold, without it."""

@@ -100,6 +100,9 @@ class Record(NamedTuple):
     """Rows at which a pass begins anew (T,)."""
     settled: BoolArray
     """Rows at which the start is forgotten (T,)."""
+    lead: IntArray
+    """1 where a second state leaves that of the prediction, 2 while it follows the readings, 3 where the prediction
+    begins anew from it (T,)."""
     sent: FloatArray
     """When each target was sent (K,) [s]."""
     goal: FloatArray
@@ -205,7 +208,7 @@ READING, ADDED, STIFF, DAMP, INPUTS = range(5)
 
 TIME, SINCE, SUPPLY, CLOCK = range(4)
 
-LOG, FRESH, SETTLED, MARKS = range(4)
+LOG, FRESH, SETTLED, LEAD, MARKS = range(5)
 
 VOLTS, OWN_KT, OWN_OHM, NEIGHBOUR, MOTOR = range(5)
 
@@ -220,7 +223,7 @@ class Arrays(NamedTuple):
     inputs: FloatArray
     """(T, J, 4)"""
     marks: IntArray
-    """(T, 3)"""
+    """(T, 4)"""
     sent: FloatArray
     goal: FloatArray
     motors: FloatArray
@@ -240,7 +243,7 @@ def arrays_of(tree: Tree, record: Record) -> Arrays:
         shape=shape,
         clock=np.stack([record.t, record.since, record.supply], -1),
         inputs=np.stack([record.y, record.force, kp, kd], -1),
-        marks=np.stack([record.log, record.fresh, record.settled], -1).astype(np.int64),
+        marks=np.stack([record.log, record.fresh, record.settled, record.lead], -1).astype(np.int64),
         sent=record.sent,
         goal=record.goal,
         motors=np.stack([record.volts, record.kt, record.ohm, record.neighbour.astype(float)], -1),
@@ -379,18 +382,32 @@ def begin_at(clock, inputs, sent, goal, p, s, i):  # type: ignore[no-untyped-def
 
 
 @inlined
-def correct(p, s, inputs, gains, out, i, log, settled):  # type: ignore[no-untyped-def]
-    """Write what is predicted of a row, and correct the state by what was read."""
+def write(p, s, out, i):  # type: ignore[no-untyped-def]
+    """Write what is predicted of a row."""
     for j in range(s.shape[1]):
         out[0, i, j] = reads(p, j, s[QM, j])
         out[1, i, j], out[2, i, j] = s[W, j], s[TAU, j]
-        off = inputs[i, j, READING] - out[0, i, j]
+
+
+@inlined
+def correct(p, s, inputs, gains, i, log, settled):  # type: ignore[no-untyped-def]
+    """Correct a state by what was read in a row."""
+    for j in range(s.shape[1]):
+        off = inputs[i, j, READING] - reads(p, j, s[QM, j])
         if np.isfinite(off):
             s[Q, j] += gains[log, settled, j, 0] * off
             s[QM, j] += gains[log, settled, j, 0] * off
             s[V, j] += gains[log, settled, j, 1] * off
             s[VM, j] += gains[log, settled, j, 1] * off
             s[W, j] += gains[log, settled, j, 2] * off
+
+
+@inlined
+def copied(s, other):  # type: ignore[no-untyped-def]
+    """Copy a table of states to another."""
+    for k in range(STATES):
+        for j in range(s.shape[1]):
+            other[k, j] = s[k, j]
 
 
 @inlined
@@ -435,7 +452,7 @@ def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step
     ring = np.sqrt(1.0 / (p[TOUCH] * np.maximum(p[ROTOR], 1e-5)))[touching].max(initial=0.0) * USUAL
     step *= min(1.0, RING / max(ring, 1e-9))
     out = np.zeros((3, *arrays.inputs.shape[:2]))
-    shapes = (n, ROOM), (n, n), (STATES, n), (ASKED, n), (2 * n, 2 * n), (2 * n, SOLVE)
+    shapes = (n, ROOM), (n, n), (STATES, n), (STATES, n), (ASKED, n), (2 * n, 2 * n), (2 * n, SOLVE)
     rooms = tuple(np.zeros(shape) for shape in shapes)
     machine = arrays.joints, arrays.shape, np.stack(loads), pull
     logs = arrays.clock, arrays.inputs, arrays.marks, arrays.sent, arrays.goal, arrays.motors
@@ -451,29 +468,40 @@ def _pass(machine, logs, p, gains, decay, step, rooms, out):  # type: ignore[no-
     """Write a pass to `out` with the room that it needs; return the row before which the machine flew apart."""
     joints, shape, loads, pull = machine
     clock, inputs, marks, sent, goal, motors = logs
-    room, mass, s, acts, a, solve = rooms
+    room, mass, states, beside, acts, a, solve = rooms
+    both = (states, beside)
     n = inputs.shape[1]
     for i in range(len(clock)):
-        log = marks[i, LOG]
+        log, lead = marks[i, LOG], marks[i, LEAD]
         if marks[i, FRESH]:
-            begin_at(clock, inputs, sent, goal, p, s, i)
-            correct(p, s, inputs, gains, out, i, log, marks[i, SETTLED])
+            begin_at(clock, inputs, sent, goal, p, states, i)
+            write(p, states, out, i)
+            correct(p, states, inputs, gains, i, log, marks[i, SETTLED])
             continue
         gap = clock[i, TIME] - clock[i - 1, TIME]
         steps = max(int(np.ceil(gap / step - 1e-3)), 1)
         h = gap / steps
         kept = np.exp(-h / decay)
         together = max(int(RIGID / h + 1e-3), 1)
-        for k in range(steps):
-            half(p, s, h)
-            if k % together == 0:
-                ahead(p, s, room, h, min(together, steps - k))
-                dynamics(joints, shape, loads, log, pull, room, mass)
-            ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h)
-            move(joints, shape, p, s, acts, room, mass, a, solve, h)
-            for j in range(n):
-                s[W, j] *= kept
-            if not half(p, s, h):
-                return i
-        correct(p, s, inputs, gains, out, i, log, marks[i, SETTLED])
+        for which in range(2 if lead > 1 else 1):
+            s = both[which]
+            for k in range(steps):
+                half(p, s, h)
+                if k % together == 0:
+                    ahead(p, s, room, h, min(together, steps - k))
+                    dynamics(joints, shape, loads, log, pull, room, mass)
+                ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h)
+                move(joints, shape, p, s, acts, room, mass, a, solve, h)
+                for j in range(n):
+                    s[W, j] *= kept
+                if not half(p, s, h):
+                    return i
+        write(p, states, out, i)
+        correct(p, states, inputs, gains, i, log, marks[i, SETTLED])
+        if lead == 1:
+            copied(states, beside)
+        if lead > 0:
+            correct(p, beside, inputs, gains, i, log, 0)
+        if lead == 3:
+            copied(beside, states)
     return len(clock)

@@ -8,7 +8,6 @@ import numpy as np
 
 from lab.innovations.laws import ROW
 from lab.innovations.model import Free, Key, Model, from_fit
-from lab.innovations.search import FOLLOWING
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.records import FloatArray
@@ -61,9 +60,7 @@ def _values(model: Model, name: str, known: dict[tuple[Key, int], tuple[Free, fl
 
 def dependences(model: Model) -> tuple[Dependence, ...]:
     """Return what the unknown torque of each joint depends on, from a pass that follows every reading."""
-    gains = model.setting.gains
-    strong = np.maximum(model.unknown, FOLLOWING * gains.torque)
-    read, unknown, torque = model.setting.passes.whole([model.table], [gains.of(strong)])[0]
+    read, unknown, torque = model.setting.passes.whole([model.table], model.setting.gains.following)[0]
     t, joints = model.data.record.t, model.data.machine.joints
     speed = np.gradient(read, t, axis=0)
     found = []

@@ -143,8 +143,7 @@ class Screen:
     def run(self, names: Sequence[str]) -> list[Found]:
         """Return what each effect would gain in each joint alone and in all together, best first."""
         jobs = [job for name in names for job in self._jobs(name)]
-        gains = self.model.setting.gains.of(self.model.unknown)
-        made = iter(self._run(jobs, gains))
+        made = iter(self._run(jobs))
         best: dict[str, dict[int, tuple[float, Place]]] = {}
         for name, joints, places, own in jobs:
             changes = [next(made) for _ in own]
@@ -155,14 +154,14 @@ class Screen:
         out = [self._together(name, group, own) for name, own in best.items() for group in _groups(name, own, self)]
         return sorted((f for f in out if f.gain > 0.0), key=lambda f: -f.gain)
 
-    def _run(self, jobs: Sequence[tuple], gains: FloatArray) -> list[FloatArray]:  # type: ignore[type-arg]
-        """Return what each table of each job does to the innovations: in short steps where there are thresholds."""
+    def _run(self, jobs: Sequence[tuple]) -> list[FloatArray]:  # type: ignore[type-arg]
+        """Return what each table of each job does to the errors: in short steps where there are thresholds."""
         out: list[FloatArray] = []
-        run = self.model.setting.passes.run
-        (still,) = run([self.model.table], [gains], 2.0 * STEP)
+        run, gains = self.model.setting.passes.run, self.model.setting.gains.ahead
+        (still,) = run([self.model.table], gains, 2.0 * STEP)
         for name, _, _, tables in jobs:
             fine = CATALOGUE[name].structural
-            made = run(tables, [gains] * len(tables), STEP if fine else 2.0 * STEP)
+            made = run(tables, gains, STEP if fine else 2.0 * STEP)
             out += [e - (self.model.e if fine else still) for e in made]
         return out
 

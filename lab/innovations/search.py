@@ -15,8 +15,9 @@ from scipy.stats import wilcoxon
 
 from lab.innovations.data import Data
 from lab.innovations.laws import ROW
+from lab.innovations.likelihood import scales
 from lab.innovations.model import Free, Model, Setting, setting_of, to_fit
-from lab.innovations.screen import Screen, applicable, wanted, with_effect
+from lab.innovations.screen import Found, Screen, applicable, wanted, with_effect
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray
 
@@ -34,20 +35,20 @@ tried."""
 SURE = 0.01
 """Probability by Wilcoxon's test over blocks that a better model is none."""
 
-WIDTH = 6
-"""Candidates of a screen that are fitted; the right effect was first in 54 of 56 logs (design notes)."""
+WIDTH = 12
+"""Candidates of a screen that are fitted by a step; the better half by another, and so on to `LAST`."""
+
+LAST = 3
+"""Candidates that are fitted to the end."""
 
 SETS = 2
 """Sets of joints of one effect among them."""
-
-HOPELESS = 0.5
-"""Share of the best candidate's gain below which another is not fitted to the end."""
 
 STAGES = 4
 """Most effects."""
 
 MATERIAL = 0.02
-"""Share of the whole gain, and of the squared error of a plain replay, below which an effect is not worth a name."""
+"""Share of the whole gain below which an effect is not worth a name."""
 
 NOISY = 1.03
 """Plain replay over the noise in all joints below which nothing is looked for."""
@@ -60,9 +61,6 @@ MOST = 0.9
 
 TIED = 6.0
 """Nats of held-out log density up to which two explanations are not told apart: odds of 400 to one."""
-
-FOLLOWING = 0.1
-"""Unknown torque of a pass that follows every reading, as a share of the torque of a joint."""
 
 Report = Callable[[str], None]
 
@@ -115,7 +113,6 @@ def baseline(setting: Setting, names: Sequence[str], threads: int = 1) -> Model:
         setting=setting,
         free=tuple(free),
         table=setting.blank.copy(),
-        unknown=0.03 * setting.gains.torque,
     )
 
 
@@ -164,7 +161,7 @@ def trimmed(one: Scored) -> Scored:
     table[where] = model.setting.blank[where]
     columns = None if model.columns is None else np.delete(model.columns, idle, axis=0)
     less = replace(model, table=table, free=tuple(free), columns=columns).evaluated()
-    other = scored(less.settled(1, 3))
+    other = scored(less.fitted(3))
     return trimmed(other) if other.score > one.score else one
 
 
@@ -197,9 +194,11 @@ def spread(model: Model, e: FloatArray | None = None) -> FloatArray:
 
 
 def noise_of(model: Model) -> FloatArray:
-    """Return what readings that follow each other leave in each joint (J,)."""
-    usual = np.sqrt(np.average(model.scale**2, axis=0, weights=np.bincount(model.data.record.log)))
-    return np.minimum(spread(model), 1.1 * usual)
+    """Return what a pass that follows every reading leaves in each joint (J,)."""
+    passes, gains = model.setting.passes, model.setting.gains
+    scale = scales(passes.run([model.table], gains.following)[0], model.data)
+    usual = np.sqrt(np.average(scale**2, axis=0, weights=np.bincount(model.data.record.log)))
+    return np.minimum(spread(model), usual)
 
 
 def search(
@@ -225,16 +224,15 @@ def search(
     best, others = _forwards(null, null, effects, say)
     best, dropped = backwards(best, null, say)
     for part in best.model.effects if len(best.model.effects) > 1 else ():
-        reduced = scored(without(best.model, null.model, *part).settled(3, 4))
+        reduced = scored(without(best.model, null.model, *part).fitted(8))
         other, beside = _forwards(reduced, null, effects, say)
         other, left = backwards(other, null, say)
-        if other.score > best.score + TIED:
+        if other.score > best.score + TIED * repeated(best):
             best, others, dropped = other, beside, left
             break
     apart = {describe(o.model): float((best.blocks - o.blocks).sum()) for o in [*others, *dropped]}
-    ties = [(name, by) for name, by in apart.items() if by < TIED]
-    plain = [one.model.without_unknown().differentiated() for one in (null, best)]
-    before, after = (spread(one, one.left_out()) for one in plain)
+    ties = [(name, by) for name, by in apart.items() if by < TIED * repeated(best)]
+    before, after = (spread(one.model, one.model.left_out()) for one in (null, best))
     noise = noise_of(best.model)
     left = float((np.maximum(after**2 - noise**2, 0.0) / noise**2).sum())
     first = float((np.maximum(before**2 - noise**2, 0.0) / noise**2).sum())
@@ -255,30 +253,24 @@ def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -
     """Return a model with effects added one after another while they pay, and what else the last could have been."""
     others: list[Scored] = []
     while len(best.model.effects) < STAGES:
-        plain = spread(best.model.without_unknown()) / noise_of(best.model)
+        plain = spread(best.model) / noise_of(best.model)
         say(_line(best, null, plain))
         if plain.max() < NOISY:
             break
-        noise = noise_of(best.model)
-        worst = (1.0 - MATERIAL) * float((plain**2).sum())
-        found = [
-            one
-            for one in stage_of(best, effects, say)
-            if better(one, best) and ((spread(one.model.without_unknown()) / noise) ** 2).sum() < worst
-        ]
+        found = [one for one in stage_of(best, effects, say) if better(one, best)]
         if not found:
             break
         best, others = found[0], found[1:]
         sent = _sent(best.model)
         if sent is not best.model:
-            best = scored(sent.settled(3, 4))
+            best = scored(sent.fitted(8))
     return best, others
 
 
 def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
     """Return the baseline at the sending times that explain the logs best."""
-    model = baseline(setting_of(data, threads), names).settled(1, 4)
-    return scored(_sent(model).settled(3, 6).elsewhere())
+    model = baseline(setting_of(data, threads), names).fitted(4)
+    return scored(_sent(model).fitted(12))
 
 
 def _sent(model: Model) -> Model:
@@ -294,32 +286,32 @@ def _sent(model: Model) -> Model:
 
 def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
     """Return models with one effect more, best first."""
-    model = now.model
-    strong = np.maximum(model.unknown, FOLLOWING * model.setting.gains.torque)
-    unknown = model.setting.passes.whole([model.table], [model.setting.gains.of(strong)])[0][1]
-    ranked = Screen(model, unknown).run(effects)
-    fits: list[Model] = []
-    tried: dict[str, int] = {}
-    for one in sorted(ranked, key=lambda f: PRICE * f.numbers - f.gain):
-        if len(fits) >= WIDTH or one.gain - PRICE * one.numbers < LEAST:
+    model, price = now.model, PRICE * repeated(now)
+    unknown = model.setting.passes.whole([model.table], model.setting.gains.following)[0][1]
+    chosen: list[Found] = []
+    for one in sorted(Screen(model, unknown).run(effects), key=lambda f: PRICE * f.numbers - f.gain):
+        if sum(other.name == one.name for other in chosen) < SETS:
+            chosen.append(one)
+    fits = [with_effect(model, one) for one in chosen[:WIDTH]]
+    steps = 1
+    while fits:
+        fits = sorted((one.fitted(steps) for one in fits), key=lambda m: m.cost + price * len(m.free))
+        say("    " + ", ".join(f"{describe(m)} {model.cost - m.cost:.0f}" for m in fits))
+        if len(fits) <= LAST:
             break
-        if tried.get(one.name, 0) >= SETS:
-            continue
-        tried[one.name] = tried.get(one.name, 0) + 1
-        fits.append(with_effect(model, one).fitted(2))
-        say(f"    {describe(fits[-1])}: screen {one.gain:.0f}, fit {model.cost - fits[-1].cost:.0f}")
-    most = max((model.cost - one.cost for one in fits), default=0.0)
-    hopeful = [one for one in fits if model.cost - one.cost >= max(HOPELESS * most, LEAST)]
-    made = sorted((scored(one.settled(3, 4)) for one in hopeful), key=lambda s: -s.score)
-    for k, one in enumerate(made[:2]):
-        if one.score - now.score > HOPELESS * (made[0].score - now.score):
-            made[k] = trimmed(scored(one.model.elsewhere()))
-    return sorted(made, key=lambda s: -s.score)
+        fits, steps = fits[: max(len(fits) // 2, LAST)], 2 * steps
+    made = sorted((scored(one.fitted(8)) for one in fits), key=lambda s: -s.score)
+    return sorted([trimmed(one) for one in made[:2]] + made[2:], key=lambda s: -s.score)
+
+
+def repeated(one: Scored) -> float:
+    """Return how often errors repeat themselves within a block: 1 where they are independent."""
+    return max(one.model.numbers() / len(one.model.free), 1.0)
 
 
 def better(new: Scored, old: Scored) -> bool:
     """Return whether a model is better for sure."""
-    if new.score - old.score < LEAST:
+    if new.score - old.score < LEAST * repeated(new):
         return False
     return float(wilcoxon(new.blocks - old.blocks, alternative="greater").pvalue) < SURE
 
@@ -328,13 +320,13 @@ def backwards(best: Scored, null: Scored, say: Report) -> tuple[Scored, list[Sco
     """Return the model without the effects, or joints of them, that do not pay, and the last models tried."""
     tried: list[Scored] = []
     while best.model.effects:
-        tried = [scored(without(best.model, null.model, *one).settled(3, 5)) for one in _parts(best.model)]
+        tried = [scored(without(best.model, null.model, *one).fitted(8)) for one in _parts(best.model)]
         if not tried:
             break
         first = max(tried, key=lambda s: s.score)
         paid = best.score - first.score
         say(f"  without a part: {describe(first.model)} {-paid:+.1f}")
-        if paid >= max(LEAST, MATERIAL * (best.score - null.score)):
+        if paid >= max(LEAST * repeated(best), MATERIAL * (best.score - null.score)):
             break
         best = first
     return best, tried
@@ -379,5 +371,5 @@ def describe(model: Model) -> str:
 def _line(best: Scored, null: Scored, plain: FloatArray) -> str:
     return (
         f"  {describe(best.model)}: {best.score - null.score:+.1f}, replay over noise {plain.round(2).tolist()}, "
-        f"unknown {best.model.unknown.round(4).tolist()}, {time.process_time():.0f} s"
+        f"repeated {repeated(best):.1f}, {time.process_time():.0f} s"
     )
