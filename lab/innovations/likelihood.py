@@ -52,9 +52,7 @@ def weights(e: FloatArray, scale: FloatArray, data: Data) -> FloatArray:
 
 
 class Gains:
-    """Steady Kalman gains of a position, speed and unknown torque in each joint (L, 2, J, 3): before and after a start is
-    found.
-    """
+    """Steady Kalman gains of a position, speed and unknown torque in each joint."""
 
     def __init__(self, data: Data, inertia: FloatArray, damping: FloatArray, torque: FloatArray) -> None:
         """Take what the gains follow from.
@@ -69,18 +67,14 @@ class Gains:
         record = data.record
         steps = np.diff(record.t)
         self._steps = [float(np.median(steps[(record.log[1:] == k) & ~record.fresh[1:]])) for k in range(data.logs)]
-        self.following = np.zeros((data.logs, 2, data.joints, 3))
-        """Of a pass that follows every reading."""
-        for log in range(data.logs):
-            for j in range(data.joints):
-                self.following[log, :, j] = self._steady(log, j, FOLLOWING * torque[j])
-        self.ahead = self.following.copy()
-        """Of a pass that predicts, after its start, to the end of a block."""
-        self.ahead[:, 1] = 0.0
+        shape = data.logs, 2, data.joints
+        self.table = np.array([self._steady(log, j, on) for log, on, j in np.ndindex(shape)]).reshape(*shape, 3)
+        """Of each log with drives off and on (L, 2, J, 3)."""
 
-    def _steady(self, log: int, j: int, size: float) -> FloatArray:
+    def _steady(self, log: int, j: int, on: int) -> FloatArray:
         record, mass, h = self._data.record, float(self._inertia[j]), self._steps[log]
-        stiff, damp = record.kp[log, j] / mass, (record.kd[log, j] + self._damping[j]) / mass
+        stiff, damp = on * record.kp[log, j] / mass, (on * record.kd[log, j] + self._damping[j]) / mass
+        size = float(FOLLOWING * self.torque[j])
         noise = float(self._data.noise[j])
         a = expm(np.array([[0.0, 1.0, 0.0], [-stiff, -damp, size / mass], [0.0, 0.0, -1.0 / DECAY]]) * h)
         enters = np.array([0.5 * h * h * size / mass, h * size / mass, 1.0])

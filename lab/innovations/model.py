@@ -51,8 +51,9 @@ class Free:
 class Passes:
     """Runs passes over data."""
 
-    def __init__(self, data: Data, threads: int = 1) -> None:
-        self.data, self.threads, self._counted = data, threads, [0]
+    def __init__(self, data: Data, gains: FloatArray, threads: int = 1) -> None:
+        """Take data and the corrections of each log with drives off and on (L, 2, J, 3)."""
+        self.data, self.threads, self._gains, self._counted = data, threads, gains, [0]
         self._arrays = arrays_of(data.tree, data.record)
 
     @property
@@ -66,17 +67,17 @@ class Passes:
         made.data, made._arrays = data, arrays_of(data.tree, data.record)
         return made
 
-    def run(self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP) -> list[FloatArray]:
+    def run(self, points: Sequence[FloatArray], step: float = STEP, follow: bool = False) -> list[FloatArray]:
         """Return errors (T, J) of some tables of numbers."""
-        return [self.data.record.y - made[0] for made in self.whole(points, gains, step)]
+        return [self.data.record.y - made[0] for made in self.whole(points, step, follow)]
 
     def whole(
-        self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP
+        self, points: Sequence[FloatArray], step: float = STEP, follow: bool = False
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         """Return predicted readings, unknown torques and torques of the motors (T, J) of each."""
 
         def one(table: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            made = predict(self._arrays, table, gains, DECAY, step)
+            made = predict(self._arrays, table, self._gains, DECAY, step, follow)
             return made[0], made[1], made[2]
 
         self._counted[0] += len(points)
@@ -91,7 +92,6 @@ class Setting:
     """What all models of one search share."""
 
     passes: Passes
-    gains: Gains
     scale: dict[str, FloatArray]
     """How large position, speed, acceleration and torque are in each joint: root mean squares (J,)."""
     peak: dict[str, FloatArray]
@@ -200,7 +200,7 @@ class Model:
 
     def evaluated(self, step: float = STEP) -> Model:
         """Return the model after a pass."""
-        (e,) = self.setting.passes.run([self.table], self.setting.gains.ahead, step)
+        (e,) = self.setting.passes.run([self.table], step)
         made = replace(self, e=e, scale=scales(e, self.data), columns=None)
         cost = float(misfit(e, made.scale, self.data).sum()) + made.implausible(made.values())
         return replace(made, cost=cost if np.isfinite(cost) else np.inf)
@@ -210,7 +210,6 @@ class Model:
         if self.columns is not None:
             return self
         data, x = self.data, self.values()
-        gains = self.setting.gains.ahead
         shift = np.zeros(len(x))
         for k, f in enumerate(self.free):
             rough = CATALOGUE[f.key[0]].structural
@@ -221,7 +220,7 @@ class Model:
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
         stiff = any(CATALOGUE[name].structural for name, _ in self.effects)
         step = COARSE[0] if stiff else COARSE[1]
-        *moved, still = self.setting.passes.run([*tables, self.table], gains, step)
+        *moved, still = self.setting.passes.run([*tables, self.table], step)
         columns = np.zeros((len(x), *self.e.shape))
         reach = self._reach()
         for k in range(len(x)):
@@ -416,4 +415,4 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     }
     peak = {"N m": np.abs(needed).max(0) + dry, "rad/s": np.where(used, np.abs(speed), 0.0).max(0)}
     gains = Gains(data, inertia, blank[ROW["viscous", "coefficient"]], scale["torque"])
-    return Setting(passes=Passes(data, threads), gains=gains, scale=scale, peak=peak, blank=blank)
+    return Setting(passes=Passes(data, gains.table, threads), scale=scale, peak=peak, blank=blank)

@@ -390,16 +390,17 @@ def write(p, s, out, i):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def correct(p, s, inputs, gains, i, log, settled):  # type: ignore[no-untyped-def]
+def correct(p, s, inputs, gains, i, log):  # type: ignore[no-untyped-def]
     """Correct a state by what was read in a row."""
     for j in range(s.shape[1]):
+        on = 1 if inputs[i, j, STIFF] > 0.0 else 0
         off = inputs[i, j, READING] - reads(p, j, s[QM, j])
         if np.isfinite(off):
-            s[Q, j] += gains[log, settled, j, 0] * off
-            s[QM, j] += gains[log, settled, j, 0] * off
-            s[V, j] += gains[log, settled, j, 1] * off
-            s[VM, j] += gains[log, settled, j, 1] * off
-            s[W, j] += gains[log, settled, j, 2] * off
+            s[Q, j] += gains[log, on, j, 0] * off
+            s[QM, j] += gains[log, on, j, 0] * off
+            s[V, j] += gains[log, on, j, 1] * off
+            s[VM, j] += gains[log, on, j, 1] * off
+            s[W, j] += gains[log, on, j, 2] * off
 
 
 @inlined
@@ -429,16 +430,19 @@ def ahead(p, s, room, h, steps):  # type: ignore[no-untyped-def]
         room[j, AT] = s[Q, j] + 0.5 * (steps - 1) * h * room[j, MOVING]
 
 
-def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step: float) -> FloatArray:
-    """Return what a machine with some numbers is predicted to do, reading by reading.
+def predict(
+    arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step: float, follow: bool
+) -> FloatArray:
+    """Return what a machine with some numbers is predicted to do: to the end of each block, or reading by reading.
 
     Args:
         arrays: The machine and its logs.
         p: Numbers (S, J).
-        gains: Corrections of position, velocity and unknown torque for each radian (L, 2, J, 3): while the start is
-            sought, and after.
+        gains: Corrections of position, velocity and unknown torque for each radian (L, 2, J, 3): of drives that are
+            off, and on.
         decay: Time constant of the unknown torque [s].
         step: Longest step [s].
+        follow: Whether every reading corrects the state, and not only those before a block.
 
     Returns:
         Predicted readings, unknown torques and those of the motors (3, T, J); `LOST` from where the machine flew apart.
@@ -456,7 +460,7 @@ def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step
     rooms = tuple(np.zeros(shape) for shape in shapes)
     machine = arrays.joints, arrays.shape, np.stack(loads), pull
     logs = arrays.clock, arrays.inputs, arrays.marks, arrays.sent, arrays.goal, arrays.motors
-    whole = _pass(machine, logs, p, gains, decay, step, rooms, out)
+    whole = _pass(machine, logs, p, gains, (decay, step, follow), rooms, out)
     if whole < out.shape[1]:
         out[:, whole:] = 0.0
         out[0, whole:] = LOST
@@ -464,19 +468,20 @@ def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True, _nrt=False)  # type: ignore[call-overload]
-def _pass(machine, logs, p, gains, decay, step, rooms, out):  # type: ignore[no-untyped-def]
+def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-def]
     """Write a pass to `out` with the room that it needs; return the row before which the machine flew apart."""
     joints, shape, loads, pull = machine
     clock, inputs, marks, sent, goal, motors = logs
     room, mass, states, beside, acts, a, solve = rooms
     both = (states, beside)
+    decay, step, follow = how
     n = inputs.shape[1]
     for i in range(len(clock)):
         log, lead = marks[i, LOG], marks[i, LEAD]
         if marks[i, FRESH]:
             begin_at(clock, inputs, sent, goal, p, states, i)
             write(p, states, out, i)
-            correct(p, states, inputs, gains, i, log, marks[i, SETTLED])
+            correct(p, states, inputs, gains, i, log)
             continue
         gap = clock[i, TIME] - clock[i - 1, TIME]
         steps = max(int(np.ceil(gap / step - 1e-3)), 1)
@@ -497,11 +502,12 @@ def _pass(machine, logs, p, gains, decay, step, rooms, out):  # type: ignore[no-
                 if not half(p, s, h):
                     return i
         write(p, states, out, i)
-        correct(p, states, inputs, gains, i, log, marks[i, SETTLED])
+        if follow or not marks[i, SETTLED]:
+            correct(p, states, inputs, gains, i, log)
         if lead == 1:
             copied(states, beside)
         if lead > 0:
-            correct(p, beside, inputs, gains, i, log, 0)
+            correct(p, beside, inputs, gains, i, log)
         if lead == 3:
             copied(beside, states)
     return len(clock)

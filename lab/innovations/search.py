@@ -195,8 +195,7 @@ def spread(model: Model, e: FloatArray | None = None) -> FloatArray:
 
 def noise_of(model: Model) -> FloatArray:
     """Return what a pass that follows every reading leaves in each joint (J,)."""
-    passes, gains = model.setting.passes, model.setting.gains
-    scale = scales(passes.run([model.table], gains.following)[0], model.data)
+    scale = scales(model.setting.passes.run([model.table], follow=True)[0], model.data)
     usual = np.sqrt(np.average(scale**2, axis=0, weights=np.bincount(model.data.record.log)))
     return np.minimum(spread(model), usual)
 
@@ -287,7 +286,7 @@ def _sent(model: Model) -> Model:
 def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
     """Return models with one effect more, best first."""
     model, price = now.model, PRICE * repeated(now)
-    unknown = model.setting.passes.whole([model.table], model.setting.gains.following)[0][1]
+    unknown = model.setting.passes.whole([model.table], follow=True)[0][1]
     chosen: list[Found] = []
     for one in sorted(Screen(model, unknown).run(effects), key=lambda f: PRICE * f.numbers - f.gain):
         if sum(other.name == one.name for other in chosen) < SETS:
