@@ -64,17 +64,31 @@ class Gains:
             torque: Usual torque of each joint (J,) [N m].
         """
         self._data, self._inertia, self._damping, self.torque = data, inertia, damping, torque
+        self._known: dict[tuple[int, int, int, float], FloatArray] = {}
         record = data.record
         steps = np.diff(record.t)
         self._steps = [float(np.median(steps[(record.log[1:] == k) & ~record.fresh[1:]])) for k in range(data.logs)]
-        shape = data.logs, 2, data.joints
-        self.table = np.array([self._steady(log, j, on) for log, on, j in np.ndindex(shape)]).reshape(*shape, 3)
-        """Of each log with drives off and on (L, 2, J, 3)."""
 
-    def _steady(self, log: int, j: int, on: int) -> FloatArray:
+    def of(self, unknown: FloatArray) -> FloatArray:
+        """Return the gains (L, 2, 2, J, 3) of the first start and of those of blocks, with drives off and on, at these
+        sizes of the unknown torque (J,) [N m] before blocks; none where it is 0.
+        """
+        out = np.zeros((self._data.logs, 2, 2, self._data.joints, 3))
+        for log, on, j in np.ndindex(self._data.logs, 2, self._data.joints):
+            out[log, 0, on, j] = self._gain(log, j, on, float(FOLLOWING * self.torque[j]))
+            if unknown[j] > 0.0:
+                out[log, 1, on, j] = self._gain(log, j, on, float(unknown[j]))
+        return out
+
+    def _gain(self, log: int, j: int, on: int, size: float) -> FloatArray:
+        key = (log, j, on, size)
+        if key not in self._known:
+            self._known[key] = self._steady(*key)
+        return self._known[key]
+
+    def _steady(self, log: int, j: int, on: int, size: float) -> FloatArray:
         record, mass, h = self._data.record, float(self._inertia[j]), self._steps[log]
         stiff, damp = on * record.kp[log, j] / mass, (on * record.kd[log, j] + self._damping[j]) / mass
-        size = float(FOLLOWING * self.torque[j])
         noise = float(self._data.noise[j])
         a = expm(np.array([[0.0, 1.0, 0.0], [-stiff, -damp, size / mass], [0.0, 0.0, -1.0 / DECAY]]) * h)
         enters = np.array([0.5 * h * h * size / mass, h * size / mass, 1.0])

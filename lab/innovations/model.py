@@ -29,6 +29,9 @@ COARSE = 2.0 * STEP, 4.0 * STEP
 PART = 0.5, 0.1
 """Change of a number for a derivative, in differences that matter: of an effect with a threshold, and of others."""
 
+LEVELS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 0.6, 0.5)])
+"""Sizes of the unknown torque that are tried, as shares of the torque of a joint: factors of 3.2."""
+
 Key = tuple[str, str]
 
 
@@ -51,9 +54,8 @@ class Free:
 class Passes:
     """Runs passes over data."""
 
-    def __init__(self, data: Data, gains: FloatArray, threads: int = 1) -> None:
-        """Take data and the corrections of each log with drives off and on (L, 2, J, 3)."""
-        self.data, self.threads, self._gains, self._counted = data, threads, gains, [0]
+    def __init__(self, data: Data, threads: int = 1) -> None:
+        self.data, self.threads, self._counted = data, threads, [0]
         self._arrays = arrays_of(data.tree, data.record)
 
     @property
@@ -67,17 +69,17 @@ class Passes:
         made.data, made._arrays = data, arrays_of(data.tree, data.record)
         return made
 
-    def run(self, points: Sequence[FloatArray], step: float = STEP, follow: bool = False) -> list[FloatArray]:
+    def run(self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP, follow: bool = False) -> list[FloatArray]:
         """Return errors (T, J) of some tables of numbers."""
-        return [self.data.record.y - made[0] for made in self.whole(points, step, follow)]
+        return [self.data.record.y - made[0] for made in self.whole(points, gains, step, follow)]
 
     def whole(
-        self, points: Sequence[FloatArray], step: float = STEP, follow: bool = False
+        self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP, follow: bool = False
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         """Return predicted readings, unknown torques and torques of the motors (T, J) of each."""
 
         def one(table: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            made = predict(self._arrays, table, self._gains, DECAY, step, follow)
+            made = predict(self._arrays, table, gains, DECAY, step, follow)
             return made[0], made[1], made[2]
 
         self._counted[0] += len(points)
@@ -92,6 +94,7 @@ class Setting:
     """What all models of one search share."""
 
     passes: Passes
+    gains: Gains
     scale: dict[str, FloatArray]
     """How large position, speed, acceleration and torque are in each joint: root mean squares (J,)."""
     peak: dict[str, FloatArray]
@@ -155,6 +158,8 @@ class Model:
     free: tuple[Free, ...]
     table: FloatArray
     """Numbers (S, J)."""
+    unknown: FloatArray
+    """Size of the unknown torque with which the starts of blocks are found (J,) [N m]."""
     effects: tuple[tuple[str, tuple[int, ...]], ...] = ()
     """Effects beside the baseline, with their joints."""
     e: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -170,6 +175,11 @@ class Model:
     def data(self) -> Data:
         """The logs."""
         return self.setting.data
+
+    @property
+    def gains(self) -> FloatArray:
+        """Corrections of a pass (L, 2, 2, J, 3)."""
+        return self.setting.gains.of(self.unknown)
 
     def values(self) -> FloatArray:
         """Return what is fitted (P,)."""
@@ -200,7 +210,7 @@ class Model:
 
     def evaluated(self, step: float = STEP) -> Model:
         """Return the model after a pass."""
-        (e,) = self.setting.passes.run([self.table], step)
+        (e,) = self.setting.passes.run([self.table], self.gains, step)
         made = replace(self, e=e, scale=scales(e, self.data), columns=None)
         cost = float(misfit(e, made.scale, self.data).sum()) + made.implausible(made.values())
         return replace(made, cost=cost if np.isfinite(cost) else np.inf)
@@ -220,7 +230,7 @@ class Model:
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
         stiff = any(CATALOGUE[name].structural for name, _ in self.effects)
         step = COARSE[0] if stiff else COARSE[1]
-        *moved, still = self.setting.passes.run([*tables, self.table], step)
+        *moved, still = self.setting.passes.run([*tables, self.table], self.gains, step)
         columns = np.zeros((len(x), *self.e.shape))
         reach = self._reach()
         for k in range(len(x)):
@@ -313,6 +323,30 @@ class Model:
                 return trial, max(damping / 8.0, 1e-6)
             damping *= 8.0
         return None, damping
+
+    def sized(self) -> Model:
+        """Return the model with the size of the unknown torque in each joint that predicts best."""
+        now = self if len(self.e) else self.evaluated()
+        for j in range(self.data.joints):
+            for way in (-1, 1):
+                while (trial := now._other_size(j, way)) is not None and trial.cost < now.cost - 0.5:
+                    now = trial
+        return now
+
+    def _other_size(self, j: int, way: int) -> Model | None:
+        levels = LEVELS * self.setting.gains.torque[j]
+        k = int(np.argmin(np.abs(levels - self.unknown[j]))) + way
+        if not 0 <= k < len(levels):
+            return None
+        unknown = self.unknown.copy()
+        unknown[j] = levels[k]
+        return replace(self, unknown=unknown, columns=None).evaluated()
+
+    def settled(self, most: int = 8) -> Model:
+        """Return the model with numbers and unknown torque at their likeliest, in turn."""
+        now = self.fitted(most)
+        sized = now.sized()
+        return now if sized is now else sized.fitted(most // 2)
 
     def left_out(self) -> FloatArray:
         """Return the innovations (T, J) after one step of Gauss and Newton, for each fold, without it."""
@@ -415,4 +449,4 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     }
     peak = {"N m": np.abs(needed).max(0) + dry, "rad/s": np.where(used, np.abs(speed), 0.0).max(0)}
     gains = Gains(data, inertia, blank[ROW["viscous", "coefficient"]], scale["torque"])
-    return Setting(passes=Passes(data, gains.table, threads), scale=scale, peak=peak, blank=blank)
+    return Setting(passes=Passes(data, threads), gains=gains, scale=scale, peak=peak, blank=blank)

@@ -390,17 +390,17 @@ def write(p, s, out, i):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def correct(p, s, inputs, gains, i, log):  # type: ignore[no-untyped-def]
+def correct(p, s, inputs, gains, i, log, block):  # type: ignore[no-untyped-def]
     """Correct a state by what was read in a row."""
     for j in range(s.shape[1]):
         on = 1 if inputs[i, j, STIFF] > 0.0 else 0
         off = inputs[i, j, READING] - reads(p, j, s[QM, j])
         if np.isfinite(off):
-            s[Q, j] += gains[log, on, j, 0] * off
-            s[QM, j] += gains[log, on, j, 0] * off
-            s[V, j] += gains[log, on, j, 1] * off
-            s[VM, j] += gains[log, on, j, 1] * off
-            s[W, j] += gains[log, on, j, 2] * off
+            s[Q, j] += gains[log, block, on, j, 0] * off
+            s[QM, j] += gains[log, block, on, j, 0] * off
+            s[V, j] += gains[log, block, on, j, 1] * off
+            s[VM, j] += gains[log, block, on, j, 1] * off
+            s[W, j] += gains[log, block, on, j, 2] * off
 
 
 @inlined
@@ -438,8 +438,8 @@ def predict(
     Args:
         arrays: The machine and its logs.
         p: Numbers (S, J).
-        gains: Corrections of position, velocity and unknown torque for each radian (L, 2, J, 3): of drives that are
-            off, and on.
+        gains: Corrections of position, velocity and unknown torque for each radian (L, 2, 2, J, 3): of the first
+            start, which also follow every reading, and of those of blocks; of drives that are off, and on.
         decay: Time constant of the unknown torque [s].
         step: Longest step [s].
         follow: Whether every reading corrects the state, and not only those before a block.
@@ -481,7 +481,7 @@ def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-
         if marks[i, FRESH]:
             begin_at(clock, inputs, sent, goal, p, states, i)
             write(p, states, out, i)
-            correct(p, states, inputs, gains, i, log)
+            correct(p, states, inputs, gains, i, log, 0)
             continue
         gap = clock[i, TIME] - clock[i - 1, TIME]
         steps = max(int(np.ceil(gap / step - 1e-3)), 1)
@@ -503,11 +503,11 @@ def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-
                     return i
         write(p, states, out, i)
         if follow or not marks[i, SETTLED]:
-            correct(p, states, inputs, gains, i, log)
+            correct(p, states, inputs, gains, i, log, 0)
         if lead == 1:
             copied(states, beside)
         if lead > 0:
-            correct(p, beside, inputs, gains, i, log)
+            correct(p, beside, inputs, gains, i, log, 1)
         if lead == 3:
             copied(beside, states)
     return len(clock)

@@ -60,7 +60,7 @@ def _values(model: Model, name: str, known: dict[tuple[Key, int], tuple[Free, fl
 
 def dependences(model: Model) -> tuple[Dependence, ...]:
     """Return what the unknown torque of each joint depends on, from a pass that follows every reading."""
-    read, unknown, torque = model.setting.passes.whole([model.table], follow=True)[0]
+    read, unknown, torque = model.setting.passes.whole([model.table], model.gains, follow=True)[0]
     t, joints = model.data.record.t, model.data.machine.joints
     speed = np.gradient(read, t, axis=0)
     found = []

@@ -157,11 +157,11 @@ class Screen:
     def _run(self, jobs: Sequence[tuple]) -> list[FloatArray]:  # type: ignore[type-arg]
         """Return what each table of each job does to the errors: in short steps where there are thresholds."""
         out: list[FloatArray] = []
-        run = self.model.setting.passes.run
-        (still,) = run([self.model.table], 2.0 * STEP)
+        run, gains = self.model.setting.passes.run, self.model.gains
+        (still,) = run([self.model.table], gains, 2.0 * STEP)
         for name, _, _, tables in jobs:
             fine = CATALOGUE[name].structural
-            made = run(tables, STEP if fine else 2.0 * STEP)
+            made = run(tables, gains, STEP if fine else 2.0 * STEP)
             out += [e - (self.model.e if fine else still) for e in made]
         return out
 

@@ -15,7 +15,7 @@ from scipy.stats import wilcoxon
 
 from lab.innovations.data import Data
 from lab.innovations.laws import ROW
-from lab.innovations.likelihood import scales
+from lab.innovations.likelihood import FOLLOWING, scales
 from lab.innovations.model import Free, Model, Setting, setting_of, to_fit
 from lab.innovations.screen import Found, Screen, applicable, wanted, with_effect
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
@@ -113,6 +113,7 @@ def baseline(setting: Setting, names: Sequence[str], threads: int = 1) -> Model:
         setting=setting,
         free=tuple(free),
         table=setting.blank.copy(),
+        unknown=FOLLOWING * setting.gains.torque,
     )
 
 
@@ -195,7 +196,7 @@ def spread(model: Model, e: FloatArray | None = None) -> FloatArray:
 
 def noise_of(model: Model) -> FloatArray:
     """Return what a pass that follows every reading leaves in each joint (J,)."""
-    scale = scales(model.setting.passes.run([model.table], follow=True)[0], model.data)
+    scale = scales(model.setting.passes.run([model.table], model.gains, follow=True)[0], model.data)
     usual = np.sqrt(np.average(scale**2, axis=0, weights=np.bincount(model.data.record.log)))
     return np.minimum(spread(model), usual)
 
@@ -223,7 +224,7 @@ def search(
     best, others = _forwards(null, null, effects, say)
     best, dropped = backwards(best, null, say)
     for part in best.model.effects if len(best.model.effects) > 1 else ():
-        reduced = scored(without(best.model, null.model, *part).fitted(8))
+        reduced = scored(without(best.model, null.model, *part).settled())
         other, beside = _forwards(reduced, null, effects, say)
         other, left = backwards(other, null, say)
         if other.score > best.score + TIED * repeated(best):
@@ -262,14 +263,14 @@ def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -
         best, others = found[0], found[1:]
         sent = _sent(best.model)
         if sent is not best.model:
-            best = scored(sent.fitted(8))
+            best = scored(sent.settled())
     return best, others
 
 
 def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
     """Return the baseline at the sending times that explain the logs best."""
     model = baseline(setting_of(data, threads), names).fitted(4)
-    return scored(_sent(model).fitted(12))
+    return scored(_sent(model).settled(12))
 
 
 def _sent(model: Model) -> Model:
@@ -286,7 +287,7 @@ def _sent(model: Model) -> Model:
 def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
     """Return models with one effect more, best first."""
     model, price = now.model, PRICE * repeated(now)
-    unknown = model.setting.passes.whole([model.table], follow=True)[0][1]
+    unknown = model.setting.passes.whole([model.table], model.gains, follow=True)[0][1]
     chosen: list[Found] = []
     for one in sorted(Screen(model, unknown).run(effects), key=lambda f: PRICE * f.numbers - f.gain):
         if sum(other.name == one.name for other in chosen) < SETS:
@@ -299,7 +300,7 @@ def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
         if len(fits) <= LAST:
             break
         fits, steps = fits[: max(len(fits) // 2, LAST)], 2 * steps
-    made = sorted((scored(one.fitted(8)) for one in fits), key=lambda s: -s.score)
+    made = sorted((scored(one.settled()) for one in fits), key=lambda s: -s.score)
     return sorted([trimmed(one) for one in made[:2]] + made[2:], key=lambda s: -s.score)
 
 
@@ -319,7 +320,7 @@ def backwards(best: Scored, null: Scored, say: Report) -> tuple[Scored, list[Sco
     """Return the model without the effects, or joints of them, that do not pay, and the last models tried."""
     tried: list[Scored] = []
     while best.model.effects:
-        tried = [scored(without(best.model, null.model, *one).fitted(8)) for one in _parts(best.model)]
+        tried = [scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)]
         if not tried:
             break
         first = max(tried, key=lambda s: s.score)
@@ -370,5 +371,5 @@ def describe(model: Model) -> str:
 def _line(best: Scored, null: Scored, plain: FloatArray) -> str:
     return (
         f"  {describe(best.model)}: {best.score - null.score:+.1f}, replay over noise {plain.round(2).tolist()}, "
-        f"repeated {repeated(best):.1f}, {time.process_time():.0f} s"
+        f"repeated {repeated(best):.1f}, unknown {best.model.unknown.round(4).tolist()}, {time.process_time():.0f} s"
     )
