@@ -196,7 +196,7 @@ def _folds(record: Record, block: IntArray) -> tuple[IntArray, str]:
     log = record.log[np.searchsorted(block, np.arange(block[-1] + 1))]
     for name, rows in (("gains", record.kp), ("loads", record.payload)):
         kinds = np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
-        if kinds.max() > 0:
+        if kinds.max() > 1:  # of two, one would be left to fit what depends on them
             return kinds[log], name
     if log[-1] > 1:
         return log % FOLDS, "logs"

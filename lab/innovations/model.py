@@ -97,8 +97,8 @@ class Setting:
     gains: Gains
     scale: dict[str, FloatArray]
     """How large position, speed, acceleration and torque are in each joint: root mean squares (J,)."""
-    peak: dict[str, FloatArray]
-    """Largest torque and speed in each joint, by their units (J,)."""
+    fastest: FloatArray
+    """Largest speed in each joint (J,) [rad/s]."""
     blank: FloatArray
     """The table of numbers without any effect (S, J)."""
 
@@ -215,25 +215,28 @@ class Model:
         cost = float(misfit(e, made.scale, self.data).sum()) + made.implausible(made.values())
         return replace(made, cost=cost if np.isfinite(cost) else np.inf)
 
-    def differentiated(self) -> Model:
-        """Return the model with derivatives; numbers of chains apart share a pass."""
+    def differentiated(self, known: FloatArray | None = None) -> Model:
+        """Return the model with derivatives; numbers of chains apart share a pass; those of the first may be known."""
         if self.columns is not None:
             return self
+        first = 0 if known is None else len(known)
         data, x = self.data, self.values()
         shift = np.zeros(len(x))
-        for k, f in enumerate(self.free):
+        for k, f in list(enumerate(self.free))[first:]:
             rough = CATALOGUE[f.key[0]].structural
             by = PART[0 if rough else 1] * self.setting.difference(f.key, f.joint)
             high = _bounds(_parameter(f))[1]
             shift[k] = by if x[k] + by <= min(high, f.centre + f.within) else -by
-        colours = _colours(self.free, np.asarray(data.machine.chain))
+        colours = np.full(len(x), -1)
+        colours[first:] = _colours(self.free[first:], np.asarray(data.machine.chain))
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
         stiff = any(CATALOGUE[name].structural for name, _ in self.effects)
         step = COARSE[0] if stiff else COARSE[1]
         *moved, still = self.setting.passes.run([*tables, self.table], self.gains, step)
         columns = np.zeros((len(x), *self.e.shape))
+        columns[:first] = 0.0 if known is None else known
         reach = self._reach()
-        for k in range(len(x)):
+        for k in range(first, len(x)):
             columns[k][:, reach[k]] = ((moved[colours[k]] - still) / shift[k])[:, reach[k]]
         return replace(self, columns=np.nan_to_num(columns))
 
@@ -251,15 +254,22 @@ class Model:
         return weighed @ c.T, -(weighed @ e[used])
 
     def numbers(self) -> float:
-        """Return how many numbers the logs determine, each as often as errors repeat themselves within a block: once where
-        they are independent. Source: Takeuchi 1976; Varin and Vidoni 2005.
+        """Return how many numbers the logs determine, beside what is plausible of them."""
+        hessian, prior = self.differentiated().normal()[0], self.plausibility(self.values())[0]
+        return float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), hessian)))
+
+    def repeats(self) -> float:
+        """Return how often errors repeat themselves within a block, as the numbers feel it: how much more the descents
+        of blocks vary than those of independent readings would. Source: Takeuchi 1976; Varin and Vidoni 2005.
         """
         now = self.differentiated()
         assert now.columns is not None
         pull = weights(now.e, now.scale, now.data) * np.nan_to_num(now.e)
-        blocks = [np.bincount(now.data.block, (c * pull).sum(axis=1), len(now.data.fold)) for c in now.columns]
+        count = len(now.data.fold)
+        varied = np.cov([np.bincount(now.data.block, (c * pull).sum(axis=1), count) for c in now.columns]) * count
         hessian, prior = now.normal()[0], now.plausibility(now.values())[0]
-        return float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), np.cov(blocks) * len(now.data.fold))))
+        share = float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), varied)))
+        return max(share / max(now.numbers(), 1.0), 1.0)
 
     def plausibility(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the same of what is plausible, at values (P,)."""
@@ -349,7 +359,11 @@ class Model:
         return now if sized is now else sized.fitted(most // 2)
 
     def left_out(self) -> FloatArray:
-        """Return the innovations (T, J) after one step of Gauss and Newton, for each fold, without it."""
+        """Return the errors (T, J) in each fold after steps of Gauss and Newton without it, from the derivatives with it:
+        one linear step where every log stays.
+        """
+        if self.data.whole != "blocks":
+            return self._refitted()
         now = self.differentiated()
         assert now.columns is not None
         data = self.data
@@ -365,10 +379,21 @@ class Model:
             e[rows] += np.einsum("p,ptj->tj", step, now.columns[:, rows])
         return e
 
-    def held_out(self) -> FloatArray:
-        """Return the log density of each block (B,) under a fit without its fold."""
-        lost = misfit(self.left_out(), self.scale, self.data).sum(axis=1)
-        return -np.bincount(self.data.block, lost, len(self.data.fold)).astype(float)
+    def _refitted(self) -> FloatArray:
+        self = self.differentiated()
+        e = self.e.copy()
+        for k in range(self.data.fold.max() + 1):
+            rows = (self.data.fold == k)[self.data.block]
+            data = replace(self.data, counts=self.data.counts & ~rows[:, None])
+            setting = replace(self.setting, passes=self.setting.passes.of(data))
+            known = replace(self, setting=setting).evaluated()
+            e[rows] = replace(known, columns=self.columns).fitted(0).e[rows]
+        return e
+
+    def held_out(self) -> float:
+        """Return the log density of all readings under fits without their folds."""
+        e = self.left_out()
+        return -float(misfit(e, scales(e, self.data), self.data).sum())
 
 
 def _parameter(f: Free) -> Parameter:
@@ -447,6 +472,6 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
         "acceleration": rms(faster),
         "torque": np.maximum(rms(needed) + dry, 1e-6),
     }
-    peak = {"N m": np.abs(needed).max(0) + dry, "rad/s": np.where(used, np.abs(speed), 0.0).max(0)}
+    fastest = np.nanquantile(np.where(used, np.abs(speed), np.nan), 0.999, axis=0)
     gains = Gains(data, inertia, blank[ROW["viscous", "coefficient"]], scale["torque"])
-    return Setting(passes=Passes(data, threads), gains=gains, scale=scale, peak=peak, blank=blank)
+    return Setting(passes=Passes(data, threads), gains=gains, scale=scale, fastest=fastest, blank=blank)

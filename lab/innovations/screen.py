@@ -79,7 +79,9 @@ def wanted(name: str) -> tuple[Parameter, ...]:
     return tuple(p for p in CATALOGUE[name].parameters if not p.fixed)
 
 
-def starts_of(p: Parameter, name: str, setting: Setting, j: int, peaks: FloatArray) -> list[float | None]:
+def starts_of(
+    p: Parameter, name: str, setting: Setting, j: int, peaks: FloatArray, most: Mapping[str, FloatArray]
+) -> list[float | None]:
     """Return the values at which a number is tried; None where its derivative at the model's value tells."""
     if p.spectral:
         return list(peaks)
@@ -87,7 +89,7 @@ def starts_of(p: Parameter, name: str, setting: Setting, j: int, peaks: FloatArr
         return [None]
     chosen = np.unique(np.linspace(0, len(p.starts) - 1, min(len(p.starts), PLACES)).round().astype(int))
     if CATALOGUE[name].structural and p.neutral == MODEL:
-        unit = float(setting.peak[p.unit][max(j, 0)])
+        unit = float(most[p.unit][max(j, 0)])
         return [p.starts[k] * unit for k in chosen]
     return [float(np.clip(p.starts[k] * p.step * setting.size(p.unit, j), p.low, p.high)) for k in chosen]
 
@@ -112,8 +114,8 @@ def peaks_of(q: FloatArray, x: FloatArray) -> FloatArray:
 class Screen:
     """The innovations of a model with its numbers projected out, and what effects do to them."""
 
-    def __init__(self, model: Model, unknown: FloatArray) -> None:
-        """Take a model and the unknown torque (T, J) of a pass that follows every reading."""
+    def __init__(self, model: Model) -> None:
+        """Take a model."""
         self.model = model.differentiated()
         columns = self.model.columns
         assert columns is not None
@@ -130,8 +132,9 @@ class Screen:
         self._extra = len(prior)
         y = np.concatenate([(np.nan_to_num(model.e) * self._root).ravel()[used], prior * x])
         self._left = self._without(y[None])[0]
-        read = np.nan_to_num(model.data.record.y)
+        read, unknown, torque = model.setting.passes.whole([model.table], model.gains, follow=True)[0]
         self._peaks = [peaks_of(read[:, j], unknown[:, j]) for j in range(model.data.joints)]
+        self._most = {"N m": np.abs(torque).max(axis=0), "rad/s": model.setting.fastest}
 
     def _without(self, rows: FloatArray) -> FloatArray:
         return rows - (rows @ self._basis) @ self._basis.T
@@ -149,10 +152,10 @@ class Screen:
             changes = [next(made) for _ in own]
             for j in joints:
                 found = self._judged(name, j, places[j], changes)
-                if found is not None and found[0] > best.setdefault(name, {}).get(j, (0.0,))[0]:
+                if found is not None and found[0] > best.setdefault(name, {}).get(j, (-np.inf,))[0]:
                     best[name][j] = found
         out = [self._together(name, group, own) for name, own in best.items() for group in _groups(name, own, self)]
-        return sorted((f for f in out if f.gain > 0.0), key=lambda f: -f.gain)
+        return out
 
     def _run(self, jobs: Sequence[tuple]) -> list[FloatArray]:  # type: ignore[type-arg]
         """Return what each table of each job does to the errors: in short steps where there are thresholds."""
@@ -177,7 +180,7 @@ class Screen:
             rounds = [[j for j in free if place[j] == k] for k in sorted({int(place[j]) for j in free})]
         jobs = []
         for joints in rounds:
-            axes = {j: [starts_of(p, name, setting, j, self._peaks[max(j, 0)]) for p in wanted(name)] for j in joints}
+            axes = {j: [starts_of(p, name, setting, j, self._peaks[max(j, 0)], self._most) for p in wanted(name)] for j in joints}
             grids = {j: list(itertools.product(*a)) for j, a in axes.items()}
             for k in range(max(len(g) for g in grids.values())):
                 here = [j for j in joints if k < len(grids[j])]
@@ -224,7 +227,7 @@ class Screen:
         made = replace(place, columns=self._without(rows))
         steps, gain = self._step(made.columns)
         if any(s < 0.0 and self._one_sided(name, m) for s, m in zip(steps, made.moved, strict=True)):
-            return None
+            return -float(np.sum(made.columns**2)), made  # on the other side of none; the least of these is the mildest
         return gain, made
 
     def _one_sided(self, name: str, moved: tuple[str, ...]) -> bool:
@@ -258,7 +261,7 @@ class Screen:
             joints=group,
             values=tuple(values),
             tried=tuple(p.values for p in places),
-            gain=gain,
+            gain=min(gain, *(own[j][0] for j in group)) if any(own[j][0] < 0.0 for j in group) else gain,
             numbers=len(wanted(name)) * len(group),
         )
 
@@ -287,11 +290,14 @@ def _groups(name: str, own: Mapping[int, tuple[float, Place]], screen: Screen) -
 
 def with_effect(model: Model, found: Found) -> Model:
     """Return a model with an effect, not yet fitted: where it was tried, at the numbers of a screen or nearer to none,
-    whichever is best.
+    whichever is best; derivatives of its own numbers are new.
     """
     starts = [(found.values, share) for share in NEARER] + [(found.tried, 1.0)]
     tried = [_at(model, found, values, share).evaluated() for values, share in starts]
-    return min(tried, key=lambda m: m.cost)
+    best = min(tried, key=lambda m: m.cost)
+    assert model.columns is not None
+    kept = [k for k, f in enumerate(model.free) if f in best.free]
+    return best.differentiated(model.columns[kept])
 
 
 def _at(model: Model, found: Found, numbers: Sequence[Mapping[str, float]], share: float) -> Model:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import wilcoxon
 
 from lab.innovations.data import Data
 from lab.innovations.laws import ROW
@@ -26,17 +25,13 @@ FARTHEST = 3.0
 lacking."""
 
 PRICE = 8.0
-"""Nats of held-out log density that a number must gain: more than BIC's half log of 14,400 readings, 4.8."""
+"""Nats of independent readings left out that a number must gain: more than BIC's half log of 14,400 readings, 4.8."""
 
-LEAST = 15.0
-"""Nats by which a model must be better than the one before: odds of three million to one, over hundreds that are
-tried."""
-
-SURE = 0.01
-"""Probability by Wilcoxon's test over blocks that a better model is none."""
+LEAST = 8.0
+"""Nats by which a model must be better than the one before: odds of three thousand to one, over a hundred tried."""
 
 WIDTH = 12
-"""Candidates of a screen that are fitted by a step; the better half by another, and so on to `LAST`."""
+"""Candidates of a screen that are fitted with new derivatives; the better half again, and so on to `LAST`."""
 
 LAST = 3
 """Candidates that are fitted to the end."""
@@ -47,8 +42,8 @@ SETS = 2
 STAGES = 4
 """Most effects."""
 
-MATERIAL = 0.02
-"""Share of the whole gain below which an effect is not worth a name."""
+MATERIAL = 0.1
+"""Share of the squared error of a joint, a geometric mean over logs, that an effect must remove to be worth a name."""
 
 NOISY = 1.03
 """Plain replay over the noise in all joints below which nothing is looked for."""
@@ -67,12 +62,23 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scored:
-    """A model and its score."""
+    """A fitted model, judged by what it predicts of blocks that were left out."""
 
     model: Model
-    blocks: FloatArray
-    """Held-out log density of each block (B,)."""
-    score: float
+    density: float
+    """Log density of the blocks that were left out [nats], with what is plausible of the numbers."""
+    numbers: float
+    """How many numbers the logs determine."""
+    repeats: float
+    """How often errors repeat themselves within a block: 1 where they are independent."""
+
+    def over(self, other: Scored) -> float:
+        """Return by how much this model is better than another [nats of independent readings], numbers paid."""
+        return self.apart(other) - PRICE * (self.numbers - other.numbers)
+
+    def apart(self, other: Scored) -> float:
+        """Return by how much this model predicts better than another [nats of independent readings]."""
+        return (self.density - other.density) / float(np.sqrt(self.repeats * other.repeats))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,10 +144,11 @@ def _within(setting: Setting, key: tuple[str, str], tolerance: float) -> list[Fr
 def scored(model: Model) -> Scored:
     """Return a fitted model with its score."""
     model = _pruned(model).differentiated()
-    blocks = model.held_out()
-    x = model.values()
     return Scored(
-        model=model, blocks=blocks, score=float(blocks.sum()) - model.implausible(x) - PRICE * model.numbers()
+        model=model,
+        density=model.held_out() - model.implausible(model.values()),
+        numbers=model.numbers(),
+        repeats=model.repeats(),
     )
 
 
@@ -152,7 +159,7 @@ def trimmed(one: Scored) -> Scored:
     model = one.model.differentiated()
     x = model.values()
     spread = np.diag(np.linalg.pinv(model.normal()[0] + model.plausibility(x)[0]))
-    losses = {k: float(0.5 * by**2 / spread[k]) for k, by in _beside(model, x).items()}
+    losses = {k: float(0.5 * by**2 / spread[k] / one.repeats) for k, by in _beside(model, x).items()}
     idle = min(losses, key=lambda k: losses[k], default=-1)
     if idle < 0 or losses[idle] > PRICE:
         return one
@@ -163,7 +170,7 @@ def trimmed(one: Scored) -> Scored:
     columns = None if model.columns is None else np.delete(model.columns, idle, axis=0)
     less = replace(model, table=table, free=tuple(free), columns=columns).evaluated()
     other = scored(less.fitted(3))
-    return trimmed(other) if other.score > one.score else one
+    return trimmed(other) if other.over(one) > 0.0 else one
 
 
 def _beside(model: Model, x: FloatArray) -> dict[int, float]:
@@ -192,6 +199,13 @@ def spread(model: Model, e: FloatArray | None = None) -> FloatArray:
     """Return the root mean square in each joint (J,) of innovations (T, J), by default the model's."""
     e = np.where(model.data.counts, np.nan_to_num(model.e if e is None else e), 0.0)
     return np.sqrt((e**2).sum(0) / np.maximum(model.data.counts.sum(0), 1))
+
+
+def by_log(model: Model) -> FloatArray:
+    """Return the root mean square of the errors of each log and joint (L, J)."""
+    e, log = np.where(model.data.counts, np.nan_to_num(model.e), 0.0), model.data.record.log
+    rows = [(log == k, model.data.counts[log == k]) for k in range(model.data.logs)]
+    return np.stack([np.sqrt((e[own] ** 2).sum(0) / np.maximum(counts.sum(0), 1)) for own, counts in rows]) + 1e-12
 
 
 def noise_of(model: Model) -> FloatArray:
@@ -227,11 +241,11 @@ def search(
         reduced = scored(without(best.model, null.model, *part).settled())
         other, beside = _forwards(reduced, null, effects, say)
         other, left = backwards(other, null, say)
-        if other.score > best.score + TIED * repeated(best):
+        if other.over(best) > TIED:
             best, others, dropped = other, beside, left
             break
-    apart = {describe(o.model): float((best.blocks - o.blocks).sum()) for o in [*others, *dropped]}
-    ties = [(name, by) for name, by in apart.items() if by < TIED * repeated(best)]
+    apart = {describe(o.model): best.apart(o) for o in [*others, *dropped]}
+    ties = [(name, by) for name, by in apart.items() if by < TIED]
     before, after = (spread(one.model, one.model.left_out()) for one in (null, best))
     noise = noise_of(best.model)
     left = float((np.maximum(after**2 - noise**2, 0.0) / noise**2).sum())
@@ -286,34 +300,30 @@ def _sent(model: Model) -> Model:
 
 def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
     """Return models with one effect more, best first."""
-    model, price = now.model, PRICE * repeated(now)
-    unknown = model.setting.passes.whole([model.table], model.gains, follow=True)[0][1]
+    model = now.model
     chosen: list[Found] = []
-    for one in sorted(Screen(model, unknown).run(effects), key=lambda f: PRICE * f.numbers - f.gain):
+    for one in sorted(Screen(model).run(effects), key=lambda f: now.repeats * PRICE * f.numbers - f.gain):
         if sum(other.name == one.name for other in chosen) < SETS:
             chosen.append(one)
-    fits = [with_effect(model, one) for one in chosen[:WIDTH]]
-    steps = 1
+    fits, steps = [with_effect(model, one) for one in chosen], 0
     while fits:
-        fits = sorted((one.fitted(steps) for one in fits), key=lambda m: m.cost + price * len(m.free))
+        fits = sorted((one.fitted(steps) for one in fits), key=lambda m: m.cost + now.repeats * PRICE * len(m.free))
         say("    " + ", ".join(f"{describe(m)} {model.cost - m.cost:.0f}" for m in fits))
         if len(fits) <= LAST:
             break
-        fits, steps = fits[: max(len(fits) // 2, LAST)], 2 * steps
-    made = sorted((scored(one.settled()) for one in fits), key=lambda s: -s.score)
-    return sorted([trimmed(one) for one in made[:2]] + made[2:], key=lambda s: -s.score)
-
-
-def repeated(one: Scored) -> float:
-    """Return how often errors repeat themselves within a block: 1 where they are independent."""
-    return max(one.model.numbers() / len(one.model.free), 1.0)
+        fits, steps = fits[: WIDTH if steps == 0 else max(len(fits) // 2, LAST)], max(2 * steps, 1)
+    made = sorted((scored(one.settled()) for one in fits), key=lambda s: -s.over(now))
+    return sorted([trimmed(one) for one in made[:2]] + made[2:], key=lambda s: -s.over(now))
 
 
 def better(new: Scored, old: Scored) -> bool:
-    """Return whether a model is better for sure."""
-    if new.score - old.score < LEAST * repeated(new):
-        return False
-    return float(wilcoxon(new.blocks - old.blocks, alternative="greater").pvalue) < SURE
+    """Return whether a model is better for sure, and removes a share of the error of some joint that is worth a name."""
+    share = np.exp(2.0 * np.mean(np.log(by_log(new.model) / by_log(old.model)), axis=0))
+    import os
+    if os.environ.get('DBG'):
+        print('      BETTER?', describe(new.model), 'over %.1f' % new.over(old), 'held %.0f' % (new.density-old.density), 'cost %.0f' % (old.model.cost - new.model.cost), 'repeats %.0f %.0f' % (old.repeats, new.repeats), 'rms', spread(new.model), flush=True)
+        if os.environ.get('DBG')=='2': print({f"{f.key[0]}.{f.key[1]}": float(new.model.table[ROW[f.key], max(f.joint,0)].round(4)) for f in new.model.free})
+    return new.over(old) >= LEAST and bool(share.min() < 1.0 - MATERIAL)
 
 
 def backwards(best: Scored, null: Scored, say: Report) -> tuple[Scored, list[Scored]]:
@@ -323,10 +333,9 @@ def backwards(best: Scored, null: Scored, say: Report) -> tuple[Scored, list[Sco
         tried = [scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)]
         if not tried:
             break
-        first = max(tried, key=lambda s: s.score)
-        paid = best.score - first.score
-        say(f"  without a part: {describe(first.model)} {-paid:+.1f}")
-        if paid >= max(LEAST * repeated(best), MATERIAL * (best.score - null.score)):
+        first = max(tried, key=lambda s: s.over(best))
+        say(f"  without a part: {describe(first.model)} {first.over(best):+.1f}")
+        if better(best, first):
             break
         best = first
     return best, tried
@@ -370,6 +379,6 @@ def describe(model: Model) -> str:
 
 def _line(best: Scored, null: Scored, plain: FloatArray) -> str:
     return (
-        f"  {describe(best.model)}: {best.score - null.score:+.1f}, replay over noise {plain.round(2).tolist()}, "
-        f"repeated {repeated(best):.1f}, unknown {best.model.unknown.round(4).tolist()}, {time.process_time():.0f} s"
+        f"  {describe(best.model)}: {best.over(null):+.1f}, replay over noise {plain.round(2).tolist()}, "
+        f"repeats {best.repeats:.1f}, unknown {best.model.unknown.round(4).tolist()}, {time.process_time():.0f} s"
     )
