@@ -352,11 +352,11 @@ class Model:
         unknown[j] = levels[k]
         return replace(self, unknown=unknown, columns=None).evaluated()
 
-    def settled(self, most: int = 8) -> Model:
+    def settled(self, most: int = 8, enough: float = 1.0) -> Model:
         """Return the model with numbers and unknown torque at their likeliest, in turn."""
-        now = self.fitted(most)
+        now = self.fitted(most, enough)
         sized = now.sized()
-        return now if sized is now else sized.fitted(most // 2)
+        return now if sized is now else sized.fitted(most // 2, enough)
 
     def left_out(self) -> FloatArray:
         """Return the errors (T, J) in each fold after steps of Gauss and Newton without it, from the derivatives with it:

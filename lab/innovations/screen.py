@@ -62,6 +62,11 @@ class Found:
     """Of the log density."""
     numbers: int
 
+    @property
+    def rough(self) -> bool:
+        """Return whether a linear step may say nothing of it."""
+        return CATALOGUE[self.name].structural
+
 
 def applicable(setting: Setting, baseline: Sequence[str]) -> tuple[str, ...]:
     """Return the effects that may be looked for in a machine."""

@@ -30,11 +30,8 @@ PRICE = 8.0
 LEAST = 8.0
 """Nats by which a model must be better than the one before: odds of three thousand to one, over a hundred tried."""
 
-WIDTH = 12
-"""Candidates of a screen that are fitted with new derivatives; the better half again, and so on to `LAST`."""
-
-LAST = 3
-"""Candidates that are fitted to the end."""
+FIRST, WIDTH, LAST = 16, 6, 3
+"""Candidates of a screen that are fitted with the derivatives of the model before, with new ones, and to the end."""
 
 SETS = 2
 """Sets of joints of one effect among them."""
@@ -239,10 +236,10 @@ def search(
     best, dropped = backwards(best, null, say)
     for part in best.model.effects if len(best.model.effects) > 1 else ():
         reduced = scored(without(best.model, null.model, *part).settled())
-        other, beside = _forwards(reduced, null, effects, say)
-        other, left = backwards(other, null, say)
-        if other.over(best) > TIED:
-            best, others, dropped = other, beside, left
+        rivals = stage_of(reduced, effects, say)
+        if rivals and rivals[0].over(best) > TIED:
+            best, others = _forwards(rivals[0], null, effects, say)
+            best, dropped = backwards(best, null, say)
             break
     apart = {describe(o.model): best.apart(o) for o in [*others, *dropped]}
     ties = [(name, by) for name, by in apart.items() if by < TIED]
@@ -266,10 +263,10 @@ def search(
 def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -> tuple[Scored, list[Scored]]:
     """Return a model with effects added one after another while they pay, and what else the last could have been."""
     others: list[Scored] = []
-    while len(best.model.effects) < STAGES:
+    while True:
         plain = spread(best.model) / noise_of(best.model)
         say(_line(best, null, plain))
-        if plain.max() < NOISY:
+        if plain.max() < NOISY or len(best.model.effects) == STAGES:
             break
         found = [one for one in stage_of(best, effects, say) if better(one, best)]
         if not found:
@@ -303,16 +300,16 @@ def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
     model = now.model
     chosen: list[Found] = []
     for one in sorted(Screen(model).run(effects), key=lambda f: now.repeats * PRICE * f.numbers - f.gain):
-        if sum(other.name == one.name for other in chosen) < SETS:
+        if sum(other.name == one.name for other in chosen) < SETS and (one.gain > 0.0 or one.rough):
             chosen.append(one)
-    fits, steps = [with_effect(model, one) for one in chosen], 0
-    while fits:
-        fits = sorted((one.fitted(steps) for one in fits), key=lambda m: m.cost + now.repeats * PRICE * len(m.free))
+    chosen = [f for k, f in enumerate(chosen) if k < FIRST or f.gain <= 0.0]
+    enough = max(1.0, 0.1 * now.repeats)
+    fits = [with_effect(model, one).fitted(0, enough) for one in chosen]
+    for steps, left in ((0, WIDTH), (1, LAST), (2, LAST)):
+        fits = sorted((one.fitted(steps, enough) for one in fits), key=lambda m: m.cost + now.repeats * PRICE * len(m.free))
         say("    " + ", ".join(f"{describe(m)} {model.cost - m.cost:.0f}" for m in fits))
-        if len(fits) <= LAST:
-            break
-        fits, steps = fits[: WIDTH if steps == 0 else max(len(fits) // 2, LAST)], max(2 * steps, 1)
-    made = sorted((scored(one.settled()) for one in fits), key=lambda s: -s.over(now))
+        fits = fits[:left]
+    made = sorted((scored(one.settled(8, enough)) for one in fits), key=lambda s: -s.over(now))
     return sorted([trimmed(one) for one in made[:2]] + made[2:], key=lambda s: -s.over(now))
 
 
