@@ -136,15 +136,10 @@ def right(case: Case, outcome: Outcome) -> bool | None:
 
 
 def unseen(model: Model) -> list[float]:
-    """Return the mean absolute error of a plain replay of each fold, fitted to the others from where a model is."""
-    data, made = model.data, []
-    for k in range(int(data.fold.max()) + 1):
-        own = (data.fold == k)[data.block][:, None]
-        others = replace(data, counts=data.counts & ~own)
-        setting = replace(model.setting, passes=model.setting.passes.of(others))
-        e = whole(replace(model, setting=setting).fitted(12)).e
-        made.append(float(np.abs(e[data.counts & own]).mean()))
-    return made
+    """Return the mean absolute error in whole logs of fits to the others, from where a model is, by folds."""
+    data, e = model.data, np.abs(model.unseen())
+    folds = [data.counts & (data.apart == k)[data.block][:, None] for k in range(int(data.apart.max()) + 1)]
+    return [float(e[rows].mean()) for rows in folds]
 
 
 def whole(model: Model) -> Model:
@@ -175,8 +170,8 @@ def row(case: Case, outcome: Outcome) -> dict[str, object]:
         "after": [round(float(x) * scale, 3) for x in outcome.after],
         "noise": [round(float(x) * scale, 3) for x in outcome.noise],
         "mean_absolute": float(e),
-        "unseen": [] if case.data.whole == "blocks" else unseen(outcome.null.model),
-        "unseen_found": [] if case.data.whole == "blocks" else unseen(model),
+        "unseen": unseen(outcome.null.model) if case.data.apart.any() else [],
+        "unseen_found": unseen(model) if case.data.apart.any() else [],
         "passes": outcome.passes,
         "seconds": round(outcome.seconds, 1),
     }

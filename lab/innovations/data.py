@@ -32,7 +32,7 @@ BLOCK = 1.5
 """Length of the blocks that are judged [s]: longer than what an innovation remembers."""
 
 FOLDS = 6
-"""Parts into which blocks are dealt where there are no several gains, loads or logs."""
+"""Parts into which blocks, or logs, are dealt."""
 
 BEFORE = 0.5
 """Time before the first row of a log at which its first target was sent [s]: half of the time between logs."""
@@ -54,9 +54,9 @@ class Data:
     block: IntArray
     """Block of each row (T,)."""
     fold: IntArray
-    """Fold of each block (B,): blocks that are left out together."""
-    whole: str
-    """What is left out at once: "gains", "loads", "logs" or "blocks"."""
+    """Fold of each block (B,): blocks that are left out together while effects are looked for."""
+    apart: IntArray
+    """The same of whole logs (B,): those of some gains, loads, or single ones; one fold where there is one log."""
     sending: tuple[SendingTimes, ...]
     """All that the logs allow."""
 
@@ -130,7 +130,6 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         ohm=np.ones_like(volts) if d.resistance is None else np.asarray(d.resistance, dtype=float),
         neighbour=np.asarray(d.neighbour),
     )
-    fold, whole = _folds(record, block)
     spread = noise_floor(np.where(np.isfinite(log.q), log.q, 0.0), log.rate)
     made = Data(
         machine=machine,
@@ -140,8 +139,8 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         counts=known & (since >= np.minimum(FORGET, SHARE * length))[:, None],
         noise=coarse_steps(log.q, spread)[1],
         block=block,
-        fold=fold,
-        whole=whole,
+        fold=np.arange(block[-1] + 1) % FOLDS,
+        apart=_apart(record, block),
         sending=together.sending if log.q_des is not None else (at_rows(log),),
         _asked=asked,
     )
@@ -191,13 +190,13 @@ def _leads(t: FloatArray, block: IntArray, fresh: BoolArray) -> IntArray:
     return lead
 
 
-def _folds(record: Record, block: IntArray) -> tuple[IntArray, str]:
-    """Return the fold of each block and what is left out at once: gains, loads or logs where there are several."""
+def _apart(record: Record, block: IntArray) -> IntArray:
+    """Return the fold of each block where whole logs are left out: by gains or loads where three are there, since of two
+    one would be left to fit what depends on them.
+    """
     log = record.log[np.searchsorted(block, np.arange(block[-1] + 1))]
-    for name, rows in (("gains", record.kp), ("loads", record.payload)):
+    for rows in (record.kp, record.payload):
         kinds = np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
-        if kinds.max() > 1:  # of two, one would be left to fit what depends on them
-            return kinds[log], name
-    if log[-1] > 1:
-        return log % FOLDS, "logs"
-    return np.arange(len(log)) % FOLDS, "blocks"
+        if kinds.max() > 1:
+            return kinds[log]
+    return log % FOLDS if log[-1] > 1 else np.zeros_like(log)

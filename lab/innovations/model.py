@@ -359,11 +359,7 @@ class Model:
         return now if sized is now else sized.fitted(most // 2, enough)
 
     def left_out(self) -> FloatArray:
-        """Return the errors (T, J) in each fold after steps of Gauss and Newton without it, from the derivatives with it:
-        one linear step where every log stays.
-        """
-        if self.data.whole != "blocks":
-            return self._refitted()
+        """Return the errors (T, J) in each fold of blocks after a linear step without it."""
         now = self.differentiated()
         assert now.columns is not None
         data = self.data
@@ -379,15 +375,16 @@ class Model:
             e[rows] += np.einsum("p,ptj->tj", step, now.columns[:, rows])
         return e
 
-    def _refitted(self) -> FloatArray:
-        self = self.differentiated()
-        e = self.e.copy()
-        for k in range(self.data.fold.max() + 1):
-            rows = (self.data.fold == k)[self.data.block]
-            data = replace(self.data, counts=self.data.counts & ~rows[:, None])
-            setting = replace(self.setting, passes=self.setting.passes.of(data))
-            known = replace(self, setting=setting).evaluated()
-            e[rows] = replace(known, columns=self.columns).fitted(0).e[rows]
+    def unseen(self) -> FloatArray:
+        """Return the errors (T, J) in whole logs after a fit to the others, from where it is with them."""
+        now = self.differentiated()
+        e = now.e.copy()
+        for k in range(now.data.apart.max() + 1):
+            rows = (now.data.apart == k)[now.data.block]
+            data = replace(now.data, counts=now.data.counts & ~rows[:, None])
+            setting = replace(now.setting, passes=now.setting.passes.of(data))
+            known = replace(now, setting=setting).evaluated()
+            e[rows] = replace(known, columns=now.columns).fitted(2).e[rows]
         return e
 
     def held_out(self) -> float:

@@ -71,10 +71,13 @@ class Found:
 def applicable(setting: Setting, baseline: Sequence[str]) -> tuple[str, ...]:
     """Return the effects that may be looked for in a machine."""
 
+    drives, alone = setting.data.machine.drives, setting.data.joints == 1
+    senseless = {"motor"} if drives.volts is None else {"kt_gain", "supply_sag"}
+    senseless |= {"coupling", "joint_delay"} if alone else set()
+
     def lacking(effect: Effect) -> bool:
-        drives = setting.data.machine.drives
         keys = [(effect.name, p.name) for p in effect.parameters]
-        return any(k in OF_DRIVES and getattr(drives, OF_DRIVES[k]) is None for k in keys)
+        return effect.name in senseless or any(k in OF_DRIVES and getattr(drives, OF_DRIVES[k]) is None for k in keys)
 
     return tuple(e.name for e in CATALOGUE.values() if not (e.read_off or e.name in baseline or lacking(e)))
 

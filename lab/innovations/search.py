@@ -198,9 +198,10 @@ def spread(model: Model, e: FloatArray | None = None) -> FloatArray:
     return np.sqrt((e**2).sum(0) / np.maximum(model.data.counts.sum(0), 1))
 
 
-def by_log(model: Model) -> FloatArray:
-    """Return the root mean square of the errors of each log and joint (L, J)."""
-    e, log = np.where(model.data.counts, np.nan_to_num(model.e), 0.0), model.data.record.log
+def by_log(model: Model, e: FloatArray | None = None) -> FloatArray:
+    """Return the root mean square in each log and joint (L, J) of errors (T, J), by default the model's."""
+    e = np.where(model.data.counts, np.nan_to_num(model.e if e is None else e), 0.0)
+    log = model.data.record.log
     rows = [(log == k, model.data.counts[log == k]) for k in range(model.data.logs)]
     return np.stack([np.sqrt((e[own] ** 2).sum(0) / np.maximum(counts.sum(0), 1)) for own, counts in rows]) + 1e-12
 
@@ -241,6 +242,12 @@ def search(
             best, others = _forwards(rivals[0], null, effects, say)
             best, dropped = backwards(best, null, say)
             break
+    seen = best
+    while best.model.effects and data.apart.any() and not _predicts(best.model, null.model):
+        best = max((scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)), default=null, key=lambda s: s.over(null))
+        say(f"  whole logs left out do not confirm it: {describe(best.model)}")
+    if best is not seen:
+        others, dropped = [], []
     apart = {describe(o.model): best.apart(o) for o in [*others, *dropped]}
     ties = [(name, by) for name, by in apart.items() if by < TIED]
     before, after = (spread(one.model, one.model.left_out()) for one in (null, best))
@@ -276,6 +283,14 @@ def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -
         if sent is not best.model:
             best = scored(sent.settled())
     return best, others
+
+
+def _predicts(model: Model, null: Model) -> bool:
+    """Return whether a model predicts whole logs better than the baseline under fits without them, in a geometric mean
+    over logs and joints.
+    """
+    new, old = (by_log(one, one.unseen()) for one in (model, null))
+    return float(np.log(new / old).mean()) < 0.0
 
 
 def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
