@@ -24,11 +24,8 @@ FARTHEST = 3.0
 """Standard deviations of what is plausible beyond which a number of the baseline does not go: beyond, something else is
 lacking."""
 
-PRICE = 8.0
-"""Nats of independent readings left out that a number must gain: more than BIC's half log of 14,400 readings, 4.8."""
-
-LEAST = 8.0
-"""Nats by which a model must be better than the one before: odds of three thousand to one, over a hundred tried."""
+PRICE = 5.0
+"""Nats of independent readings left out that a number must gain: BIC's half log of 14,400 readings, 4.8."""
 
 FIRST, WIDTH, LAST = 16, 6, 3
 """Candidates of a screen that are fitted with the derivatives of the model before, with new ones, and to the end."""
@@ -52,7 +49,14 @@ MOST = 0.9
 """Or share of the squared error beyond the noise that it must remove."""
 
 TIED = 6.0
-"""Nats of held-out log density up to which two explanations are not told apart: odds of 400 to one."""
+"""Nats of independent readings left out up to which two explanations are not told apart: odds of 400 to one."""
+
+RIVAL = 0.5
+"""Share of the gain of the best first effect from which another is followed to its end where a path does not explain a
+machine."""
+
+SURELY = 15.0
+"""Nats by which other sending times must explain logs better than those before."""
 
 Report = Callable[[str], None]
 
@@ -233,9 +237,17 @@ def search(
     say("fitting the baseline")
     null = _baseline(data, names, threads)
     effects = tuple(effects) or applicable(null.model.setting, names)
-    best, others = _forwards(null, null, effects, say)
+    stage = stage_of(null, effects, say) if (spread(null.model) / noise_of(null.model)).max() >= NOISY else []
+    firsts = [one for one in stage if better(one, null)]
+    best, others = (firsts[0], firsts[1:]) if firsts else (null, [])
+    for first in firsts[:2]:
+        if first is not best and (_near(best) or first.over(null) < RIVAL * firsts[0].over(null)):
+            break
+        end, beside = _forwards(first, null, effects, say)
+        if end.over(best) > 0.0:
+            best, others = end, beside or others
     best, dropped = backwards(best, null, say)
-    for part in best.model.effects if len(best.model.effects) > 1 else ():
+    for part in () if _near(best) or len(best.model.effects) < 2 else best.model.effects:
         reduced = scored(without(best.model, null.model, *part).settled())
         rivals = stage_of(reduced, effects, say)
         if rivals and rivals[0].over(best) > TIED:
@@ -265,6 +277,11 @@ def search(
         seconds=time.process_time() - began,
         passes=null.model.setting.passes.count,
     )
+
+
+def _near(one: Scored) -> bool:
+    """Return whether a model predicts nearly as well as readings allow."""
+    return float((spread(one.model) / noise_of(one.model)).max()) < EXPLAINED
 
 
 def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -> tuple[Scored, list[Scored]]:
@@ -305,7 +322,7 @@ def _sent(model: Model) -> Model:
     for times in model.data.sending if len(model.data.sending) > 1 else ():
         setting = replace(model.setting, passes=model.setting.passes.of(model.data.sent_at(times)))
         other = replace(model, setting=setting, columns=None).evaluated().fitted(2)
-        if other.cost < best.cost - LEAST:
+        if other.cost < best.cost - SURELY:
             best = other
     return best
 
@@ -335,7 +352,7 @@ def better(new: Scored, old: Scored) -> bool:
     if os.environ.get('DBG'):
         print('      BETTER?', describe(new.model), 'over %.1f' % new.over(old), 'held %.0f' % (new.density-old.density), 'cost %.0f' % (old.model.cost - new.model.cost), 'repeats %.0f %.0f' % (old.repeats, new.repeats), 'rms', spread(new.model), flush=True)
         if os.environ.get('DBG')=='2': print({f"{f.key[0]}.{f.key[1]}": float(new.model.table[ROW[f.key], max(f.joint,0)].round(4)) for f in new.model.free})
-    return new.over(old) >= LEAST and bool(share.min() < 1.0 - MATERIAL)
+    return new.over(old) >= TIED and bool(share.min() < 1.0 - MATERIAL)
 
 
 def backwards(best: Scored, null: Scored, say: Report) -> tuple[Scored, list[Scored]]:
