@@ -34,6 +34,9 @@ BLOCK = 1.5
 FOLDS = 6
 """Parts into which blocks, or logs, are dealt."""
 
+NEAR = 0.3
+"""Length of blocks of the first fit of a baseline [s]: what numbers far off predict may be lost in a longer one."""
+
 BEFORE = 0.5
 """Time before the first row of a log at which its first target was sent [s]: half of the time between logs."""
 
@@ -73,6 +76,12 @@ class Data:
     def sent_at(self, times: SendingTimes) -> Data:
         """Return the data with targets sent at these times."""
         return replace(self, record=_targets(self.record, self._asked, times, self._begins))
+
+    def near(self) -> Data:
+        """Return the data with predictions to the end of shorter blocks."""
+        record = self.record
+        block = np.cumsum(np.concatenate([[1], np.diff(self.block * 1000 + (record.since / NEAR).astype(int)) != 0]))
+        return replace(self, record=record._replace(lead=_leads(record.t, block, record.fresh)))
 
     @property
     def _begins(self) -> IntArray:
@@ -183,7 +192,9 @@ def _leads(t: FloatArray, block: IntArray, fresh: BoolArray) -> IntArray:
         after = int(rows[-1]) + 1
         if after == len(t) or fresh[after]:
             continue
-        begin = max(int(np.searchsorted(t, t[after - 1] - SEEK)), int(rows[0]), int(np.flatnonzero(fresh[:after])[-1]) + 1)
+        begin = max(
+            int(np.searchsorted(t, t[after - 1] - SEEK)), int(rows[0]), int(np.flatnonzero(fresh[:after])[-1]) + 1
+        )
         if begin < after - 1:
             lead[begin:after] = 2
             lead[begin], lead[after - 1] = 1, 3
@@ -191,8 +202,9 @@ def _leads(t: FloatArray, block: IntArray, fresh: BoolArray) -> IntArray:
 
 
 def _apart(record: Record, block: IntArray) -> IntArray:
-    """Return the fold of each block where whole logs are left out: by gains or loads where three are there, since of two
-    one would be left to fit what depends on them.
+    """Return the fold of each block where whole logs are left out: by gains or loads where three are there.
+
+    Of two, one would be left to fit what depends on them.
     """
     log = record.log[np.searchsorted(block, np.arange(block[-1] + 1))]
     for rows in (record.kp, record.payload):

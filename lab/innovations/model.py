@@ -69,7 +69,9 @@ class Passes:
         made.data, made._arrays = data, arrays_of(data.tree, data.record)
         return made
 
-    def run(self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP, follow: bool = False) -> list[FloatArray]:
+    def run(
+        self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP, follow: bool = False
+    ) -> list[FloatArray]:
         """Return errors (T, J) of some tables of numbers."""
         return [self.data.record.y - made[0] for made in self.whole(points, gains, step, follow)]
 

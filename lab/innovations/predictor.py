@@ -1,8 +1,9 @@
-"""One pass over logs: a machine with a drive in each joint, corrected at every reading by constant gains.
+"""One pass over logs: a machine with a drive in each joint, predicted to the end of each block.
 
 Leapfrog steps with damping and transmissions in the middle of the step (second order, stable at any stiffness of them);
 dry friction is exact, so that what sticks does not creep; a step in which a target arrives has the torque of each
-target for its share of the time. The unknown torque of each joint decays and is known by the corrections only.
+target for its share of the time. Before a block ends, a second state follows the readings by constant gains, with an
+unknown torque in each joint that decays, and is where the next block begins.
 """
 
 from __future__ import annotations
@@ -430,9 +431,7 @@ def ahead(p, s, room, h, steps):  # type: ignore[no-untyped-def]
         room[j, AT] = s[Q, j] + 0.5 * (steps - 1) * h * room[j, MOVING]
 
 
-def predict(
-    arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step: float, follow: bool
-) -> FloatArray:
+def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step: float, follow: bool) -> FloatArray:
     """Return what a machine with some numbers is predicted to do: to the end of each block, or reading by reading.
 
     Args:
@@ -445,7 +444,8 @@ def predict(
         follow: Whether every reading corrects the state, and not only those before a block.
 
     Returns:
-        Predicted readings, unknown torques and those of the motors (3, T, J); `LOST` from where the machine flew apart.
+        Predicted readings, unknown torques and those of the motors (3, T, J); `LOST` from where the machine flew apart
+        to the end of a block.
     """
     n = p.shape[1]
     mass, centre, inertia, toward, tip = arrays.own
@@ -476,9 +476,11 @@ def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-
     both = (states, beside)
     decay, step, follow = how
     n = inputs.shape[1]
+    lost = False
     for i in range(len(clock)):
         log, lead = marks[i, LOG], marks[i, LEAD]
         if marks[i, FRESH]:
+            lost = False
             begin_at(clock, inputs, sent, goal, p, states, i)
             write(p, states, out, i)
             correct(p, states, inputs, gains, i, log, 0)
@@ -488,7 +490,7 @@ def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-
         h = gap / steps
         kept = np.exp(-h / decay)
         together = max(int(RIGID / h + 1e-3), 1)
-        for which in range(2 if lead > 1 else 1):
+        for which in range(1 if lost else 0, 2 if lead > 1 else 1):
             s = both[which]
             for k in range(steps):
                 half(p, s, h)
@@ -500,14 +502,24 @@ def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-
                 for j in range(n):
                     s[W, j] *= kept
                 if not half(p, s, h):
-                    return i
-        write(p, states, out, i)
-        if follow or not marks[i, SETTLED]:
+                    if which == 1:
+                        return i
+                    lost = True
+                    break
+        if lost:
+            for j in range(n):
+                out[0, i, j] = LOST
+        else:
+            write(p, states, out, i)
+        if not lost and (follow or not marks[i, SETTLED]):
             correct(p, states, inputs, gains, i, log, 0)
-        if lead == 1:
+        if lead == 1 and lost:
+            begin_at(clock, inputs, sent, goal, p, beside, i)
+        elif lead == 1:
             copied(states, beside)
         if lead > 0:
             correct(p, beside, inputs, gains, i, log, 1)
         if lead == 3:
             copied(beside, states)
+            lost = False
     return len(clock)

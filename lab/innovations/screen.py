@@ -188,7 +188,10 @@ class Screen:
             rounds = [[j for j in free if place[j] == k] for k in sorted({int(place[j]) for j in free})]
         jobs = []
         for joints in rounds:
-            axes = {j: [starts_of(p, name, setting, j, self._peaks[max(j, 0)], self._most) for p in wanted(name)] for j in joints}
+            axes = {
+                j: [starts_of(p, name, setting, j, self._peaks[max(j, 0)], self._most) for p in wanted(name)]
+                for j in joints
+            }
             grids = {j: list(itertools.product(*a)) for j, a in axes.items()}
             for k in range(max(len(g) for g in grids.values())):
                 here = [j for j in joints if k < len(grids[j])]

@@ -1,7 +1,8 @@
 """Which effects a machine has: fits of the best of a screen, forwards and backwards, by one score.
 
-The score is the log density of blocks that were left out, less a price for each number that the logs determine. An
-effect is named if it beats what an unknown torque says without it.
+The score is the log density of predictions to the end of blocks that were left out, less a price for each number that
+the logs determine. It is counted in independent readings: errors of a model that lacks something go on through a block,
+so that a thousand of them may say no more than ten. Whole logs that are left out must confirm what is named.
 """
 
 from __future__ import annotations
@@ -32,6 +33,11 @@ FIRST, WIDTH, LAST = 16, 6, 3
 
 SETS = 2
 """Sets of joints of one effect among them."""
+
+AGAIN = 2
+"""Effects that are taken out again, each alone, to look for others in their place: the first were found when most else
+was lacking.
+"""
 
 STAGES = 4
 """Most effects."""
@@ -247,7 +253,7 @@ def search(
         if end.over(best) > 0.0:
             best, others = end, beside or others
     best, dropped = backwards(best, null, say)
-    for part in () if _near(best) or len(best.model.effects) < 2 else best.model.effects:
+    for part in () if _near(best) or len(best.model.effects) < 2 else best.model.effects[:AGAIN]:
         reduced = scored(without(best.model, null.model, *part).settled())
         rivals = stage_of(reduced, effects, say)
         if rivals and rivals[0].over(best) > TIED:
@@ -256,12 +262,17 @@ def search(
             break
     seen = best
     while best.model.effects and data.apart.any() and not _predicts(best.model, null.model):
-        best = max((scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)), default=null, key=lambda s: s.over(null))
+        best = max(
+            (scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)),
+            default=null,
+            key=lambda s: s.over(null),
+        )
         say(f"  whole logs left out do not confirm it: {describe(best.model)}")
     if best is not seen:
         others, dropped = [], []
+    best = scored(best.model.settled(4))
     apart = {describe(o.model): best.apart(o) for o in [*others, *dropped]}
-    ties = [(name, by) for name, by in apart.items() if by < TIED]
+    ties = [(name, by) for name, by in apart.items() if by < TIED and name != describe(best.model)]
     before, after = (spread(one.model, one.model.left_out()) for one in (null, best))
     noise = noise_of(best.model)
     left = float((np.maximum(after**2 - noise**2, 0.0) / noise**2).sum())
@@ -312,7 +323,10 @@ def _predicts(model: Model, null: Model) -> bool:
 
 def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
     """Return the baseline at the sending times that explain the logs best."""
-    model = baseline(setting_of(data, threads), names).fitted(4)
+    start = baseline(setting_of(data, threads), names)
+    near = replace(start.setting, passes=start.setting.passes.of(data.near()))
+    first = replace(start, setting=near).fitted(4)
+    model = replace(start, table=first.table).fitted(4)
     return scored(_sent(model).settled(12))
 
 
@@ -338,7 +352,9 @@ def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
     enough = max(1.0, 0.1 * now.repeats)
     fits = [with_effect(model, one).fitted(0, enough) for one in chosen]
     for steps, left in ((0, WIDTH), (1, LAST), (2, LAST)):
-        fits = sorted((one.fitted(steps, enough) for one in fits), key=lambda m: m.cost + now.repeats * PRICE * len(m.free))
+        fits = sorted(
+            (one.fitted(steps, enough) for one in fits), key=lambda m: m.cost + now.repeats * PRICE * len(m.free)
+        )
         say("    " + ", ".join(f"{describe(m)} {model.cost - m.cost:.0f}" for m in fits))
         fits = fits[:left]
     made = sorted((scored(one.settled(8, enough)) for one in fits), key=lambda s: -s.over(now))
@@ -346,12 +362,8 @@ def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
 
 
 def better(new: Scored, old: Scored) -> bool:
-    """Return whether a model is better for sure, and removes a share of the error of some joint that is worth a name."""
+    """Return whether a model is surely better, and removes a share of the error of some joint that is worth a name."""
     share = np.exp(2.0 * np.mean(np.log(by_log(new.model) / by_log(old.model)), axis=0))
-    import os
-    if os.environ.get('DBG'):
-        print('      BETTER?', describe(new.model), 'over %.1f' % new.over(old), 'held %.0f' % (new.density-old.density), 'cost %.0f' % (old.model.cost - new.model.cost), 'repeats %.0f %.0f' % (old.repeats, new.repeats), 'rms', spread(new.model), flush=True)
-        if os.environ.get('DBG')=='2': print({f"{f.key[0]}.{f.key[1]}": float(new.model.table[ROW[f.key], max(f.joint,0)].round(4)) for f in new.model.free})
     return new.over(old) >= TIED and bool(share.min() < 1.0 - MATERIAL)
 
 
