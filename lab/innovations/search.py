@@ -73,7 +73,9 @@ class Scored:
 
     model: Model
     density: float
-    """Log density of the blocks that were left out [nats], with what is plausible of the numbers."""
+    """Log density of the blocks that were left out [nats]."""
+    implausible: float
+    """Minus the log of how plausible the numbers are [nats]."""
     numbers: float
     """How many numbers the logs determine."""
     repeats: float
@@ -85,7 +87,8 @@ class Scored:
 
     def apart(self, other: Scored) -> float:
         """Return by how much this model predicts better than another [nats of independent readings]."""
-        return (self.density - other.density) / float(np.sqrt(self.repeats * other.repeats))
+        said = (self.density - other.density) / float(np.sqrt(self.repeats * other.repeats))
+        return said + other.implausible - self.implausible
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,7 +156,8 @@ def scored(model: Model) -> Scored:
     model = _pruned(model).differentiated()
     return Scored(
         model=model,
-        density=model.held_out() - model.implausible(model.values()),
+        density=model.held_out(),
+        implausible=model.implausible(model.values()),
         numbers=model.numbers(),
         repeats=model.repeats(),
     )
