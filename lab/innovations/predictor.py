@@ -460,16 +460,13 @@ def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step
     rooms = tuple(np.zeros(shape) for shape in shapes)
     machine = arrays.joints, arrays.shape, np.stack(loads), pull
     logs = arrays.clock, arrays.inputs, arrays.marks, arrays.sent, arrays.goal, arrays.motors
-    whole = _pass(machine, logs, p, gains, (decay, step, follow), rooms, out)
-    if whole < out.shape[1]:
-        out[:, whole:] = 0.0
-        out[0, whole:] = LOST
+    _pass(machine, logs, p, gains, (decay, step, follow), rooms, out)
     return out
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True, _nrt=False)  # type: ignore[call-overload]
 def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-def]
-    """Write a pass to `out` with the room that it needs; return the row before which the machine flew apart."""
+    """Write a pass to `out` with the room that it needs."""
     joints, shape, loads, pull = machine
     clock, inputs, marks, sent, goal, motors = logs
     room, mass, states, beside, acts, a, solve = rooms
@@ -503,8 +500,9 @@ def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-
                     s[W, j] *= kept
                 if not half(p, s, h):
                     if which == 1:
-                        return i
-                    lost = True
+                        begin_at(clock, inputs, sent, goal, p, beside, i)
+                    else:
+                        lost = True
                     break
         if lost:
             for j in range(n):
@@ -522,4 +520,3 @@ def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-
         if lead == 3:
             copied(beside, states)
             lost = False
-    return len(clock)

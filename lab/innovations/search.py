@@ -303,6 +303,9 @@ def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -
     """Return a model with effects added one after another while they pay, and what else the last could have been."""
     others: list[Scored] = []
     while True:
+        sent = _sent(best.model)
+        if sent is not best.model:
+            best = scored(sent.settled())
         plain = spread(best.model) / noise_of(best.model)
         say(_line(best, null, plain))
         if plain.max() < NOISY or len(best.model.effects) == STAGES:
@@ -311,9 +314,6 @@ def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -
         if not found:
             break
         best, others = found[0], found[1:]
-        sent = _sent(best.model)
-        if sent is not best.model:
-            best = scored(sent.settled())
     return best, others
 
 

@@ -1,5 +1,7 @@
 """Effects hidden in logs that another simulator made are found, and nothing where nothing is hidden."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,10 +21,36 @@ SPRING = EffectValues(name="spring", joints=("a",), values={"stiffness": np.arra
 FRICTION = ("stribeck", "asymmetric_friction", "quadratic_drag", "spring")
 
 
-def test_innovations_of_the_true_machine_are_its_noise(pair, log_of):
+def test_predictions_of_the_true_machine_miss_by_its_noise(pair, log_of):
     data = data_of([log_of(pair)], pair)
-    model = baseline(setting_of(data), BASELINE).settled(2, 5)
+    model = baseline(setting_of(data), BASELINE).settled()
     np.testing.assert_allclose(model.scale[0], 0.0003, rtol=0.4)
+
+
+def test_errors_of_a_model_that_lacks_something_are_not_independent(pair, log_of):
+    true, lacking = (data_of([log_of(pair, *hidden)], pair) for hidden in ((), (SPRING,)))
+    assert baseline(setting_of(true), BASELINE).settled().repeats() < 3.0
+    assert baseline(setting_of(lacking), BASELINE).settled().repeats() > 4.0
+
+
+def test_a_machine_that_flies_apart_does_so_for_a_block_only(pair, log_of):
+    data = data_of([log_of(pair)], pair)
+    model = baseline(setting_of(data), BASELINE)
+    table = model.table.copy()
+    table[ROW["spring", "stiffness"], 0] = -60.0
+    e = np.abs(replace(model, table=table).evaluated().e[:, 0])
+    begins = np.flatnonzero(np.diff(data.block) > 0)[:-1] + 1
+    ends = np.flatnonzero(np.diff(data.block) > 0)[1:]
+    assert (e[begins] < 1.0).all()
+    assert (e[ends] > 100.0).all()
+
+
+def test_what_is_named_is_confirmed_by_whole_logs_left_out(pair, log_of):
+    logs = [log_of(pair, SPRING, fast=fast) for fast in (0.0, 0.1, 0.2)]
+    outcome = search(data_of(logs, pair), BASELINE, FRICTION)
+    assert describe(outcome.best.model) == "spring (a)"
+    new, old = (np.nanstd(one.model.unseen()[:, 0]) for one in (outcome.best, outcome.null))
+    assert new < 0.2 * old
 
 
 def test_nothing_is_found_where_nothing_is_hidden(pair, log_of):
@@ -45,7 +73,7 @@ def test_a_hidden_effect_is_named_in_its_joint_and_can_be_written(pair, log_of, 
 
 def test_an_unknown_torque_says_that_it_depends_on_position(pair, log_of):
     data = data_of([log_of(pair, SPRING)], pair)
-    model = baseline(setting_of(data), BASELINE).settled(2, 5)
+    model = baseline(setting_of(data), BASELINE).settled()
     first, second = dependences(model)
     assert first.on[0][0] == "position"
     assert first.size > 3 * second.size
