@@ -2,8 +2,8 @@
 
     python -m lab.innovations DATA OUT [SET ...]
 
-reads DATA/arm, arm2, xl330, emps, sts3250 and go2_air_chirp, writes a line of JSON for each case to OUT and prints a
-table. A case is right if the names, and the joints where they are known, are those hidden; where nothing of the
+reads DATA/arm, arm2, xl330, emps, sts3250 and go2_air_chirp, and if asked for DATA/ur10e (ur-20_01_22-joint_1.csv of
+shamilmamedov/dynamic_calibration), writes a line of JSON for each case to OUT and prints a table. A case is right if the names, and the joints where they are known, are those hidden; where nothing of the
 catalogue is hidden, if what was found does not claim to explain the log.
 """
 
@@ -102,6 +102,8 @@ def cases(data: Path, sets: tuple[str, ...]) -> Iterator[Case]:
         elif name == "xl330":
             logs = list(xl330_logs(data / "xl330").values())
             yield _real("XL330", logs, _machine(XL330_MJCF), OF_VOLTAGE_DRIVES)
+        elif name == "ur10e":
+            yield _real("UR10e base", [_ur10e_log(data / "ur10e")], _machine(UR10E_MJCF), usual)
         elif name == "go2":
             machine = read_machine(data / "go2_air_chirp" / "go2_hung.xml")
             for half, log in zip(
@@ -112,6 +114,24 @@ def cases(data: Path, sets: tuple[str, ...]) -> Iterator[Case]:
 
 def _real(name: str, logs: list[JointLog], machine: MachineModel, baseline: tuple[str, ...]) -> Case:
     return Case(name=name, data=data_of(logs, machine), baseline=baseline, hidden=None)
+
+
+UR10E_MJCF = """<mujoco><worldbody><body name="arm"><inertial pos="0 0 0" mass="30" diaginertia="4 4 4"/>
+<joint name="base" axis="0 0 1" damping="5" frictionloss="5" armature="0.5"/></body></worldbody>
+<actuator><motor joint="base"/></actuator></mujoco>"""
+"""An arm on a vertical axis, its inertia and friction as guesses."""
+
+UR10E_GAIN = 10.0
+"""Of the drive [N m/A]. Source: UR10E_parameters.txt beside the logs."""
+
+
+def _ur10e_log(folder: Path) -> JointLog:
+    """Return a log of the first joint by its current."""
+    rows = np.loadtxt(folder / "ur-20_01_22-joint_1.csv", delimiter=",")
+    source = {"source": "shamilmamedov/dynamic_calibration"}
+    return JointLog(
+        joints=("base",), t=rows[:, 0] - rows[0, 0], q=rows[:, 1:2], force=UR10E_GAIN * rows[:, 13:14], metadata=source
+    )
 
 
 def _machine(text: str) -> MachineModel:
