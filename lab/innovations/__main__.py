@@ -3,8 +3,9 @@
     python -m lab.innovations DATA OUT [SET ...]
 
 reads DATA/arm, arm2, xl330, emps, sts3250 and go2_air_chirp, and if asked for DATA/ur10e (ur-20_01_22-joint_1.csv of
-shamilmamedov/dynamic_calibration), writes a line of JSON for each case to OUT and prints a table. A case is right if the names, and the joints where they are known, are those hidden; where nothing of the
-catalogue is hidden, if what was found does not claim to explain the log.
+shamilmamedov/dynamic_calibration), writes a line of JSON for each case to OUT and prints a table. A case is right if
+the names, and the joints where they are known, are those hidden; where nothing of the catalogue is hidden, if what was
+found does not claim to explain the log.
 """
 
 from __future__ import annotations

@@ -247,35 +247,15 @@ def search(
     say("fitting the baseline")
     null = _baseline(data, names, threads)
     effects = tuple(effects) or applicable(null.model.setting, names)
-    stage = stage_of(null, effects, say) if (spread(null.model) / noise_of(null.model)).max() >= NOISY else []
-    firsts = [one for one in stage if better(one, null)]
-    best, others = (firsts[0], firsts[1:]) if firsts else (null, [])
-    for first in firsts[:2]:
-        if first is not best and (_near(best) or first.over(null) < RIVAL * firsts[0].over(null)):
-            break
-        end, beside = _forwards(first, null, effects, say)
-        if end.over(best) > 0.0:
-            best, others = end, beside or others
+    best, others = _paths(null, effects, say)
     best, dropped = backwards(best, null, say)
-    for part in () if _near(best) or len(best.model.effects) < 2 else best.model.effects[:AGAIN]:
-        reduced = scored(without(best.model, null.model, *part).settled())
-        rivals = stage_of(reduced, effects, say)
-        if rivals and rivals[0].over(best) > TIED:
-            best, others = _forwards(rivals[0], null, effects, say)
-            best, dropped = backwards(best, null, say)
-            break
+    if not _near(best):
+        best, others, dropped = _exchanged(best, null, effects, (others, dropped), say)
     seen = best
-    while best.model.effects and data.apart.any() and not _predicts(best.model, null.model):
-        best = max(
-            (scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)),
-            default=null,
-            key=lambda s: s.over(null),
-        )
-        say(f"  whole logs left out do not confirm it: {describe(best.model)}")
-    if best is not seen:
-        others, dropped = [], []
+    best = _confirmed(best, null, say)
+    rivals = [*others, *dropped] if best is seen else []
     best = scored(best.model.settled(4))
-    apart = {describe(o.model): best.apart(o) for o in [*others, *dropped]}
+    apart = {describe(o.model): best.apart(o) for o in rivals}
     ties = [(name, by) for name, by in apart.items() if by < TIED and name != describe(best.model)]
     before, after = (spread(one.model, one.model.left_out()) for one in (null, best))
     noise = noise_of(best.model)
@@ -292,6 +272,43 @@ def search(
         seconds=time.process_time() - began,
         passes=null.model.setting.passes.count,
     )
+
+
+def _paths(null: Scored, effects: Sequence[str], say: Report) -> tuple[Scored, list[Scored]]:
+    """Return where the best first effect leads, or its rival where that explains more, and what else could be last."""
+    plain = spread(null.model) / noise_of(null.model)
+    firsts = [one for one in stage_of(null, effects, say) if better(one, null)] if plain.max() >= NOISY else []
+    if not firsts:
+        return null, []
+    best, others = _forwards(firsts[0], null, effects, say)
+    others = others or firsts[1:]
+    if len(firsts) > 1 and not _near(best) and firsts[1].over(null) >= RIVAL * firsts[0].over(null):
+        end, beside = _forwards(firsts[1], null, effects, say)
+        if end.over(best) > 0.0:
+            best, others = end, beside
+    return best, others
+
+
+def _exchanged(
+    best: Scored, null: Scored, effects: Sequence[str], beside: tuple[list[Scored], list[Scored]], say: Report
+) -> tuple[Scored, list[Scored], list[Scored]]:
+    """Return a model with another effect in the place of one of its first, if that is better, and what is beside it."""
+    for part in best.model.effects[:AGAIN] if len(best.model.effects) > 1 else ():
+        rivals = stage_of(scored(without(best.model, null.model, *part).settled()), effects, say)
+        if rivals and rivals[0].over(best) > TIED:
+            other, others = _forwards(rivals[0], null, effects, say)
+            other, dropped = backwards(other, null, say)
+            return other, others, dropped
+    return best, *beside
+
+
+def _confirmed(best: Scored, null: Scored, say: Report) -> Scored:
+    """Return a model without the effects of which whole logs that are left out say nothing."""
+    while best.model.effects and best.model.data.apart.any() and not _predicts(best.model, null.model):
+        parts = [scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)]
+        best = max(parts, default=null, key=lambda s: s.over(null))
+        say(f"  whole logs left out do not confirm more than {describe(best.model)}")
+    return best
 
 
 def _near(one: Scored) -> bool:
