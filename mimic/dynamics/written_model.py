@@ -16,6 +16,7 @@ from mimic.dynamics.catalogue.kinds import UNLIMITED
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import Inertias, MachineModel, changed_inertias, make_room, tilted_gravity
 from mimic.dynamics.servo import parameters_of
+from mimic.errors import AssetError
 from mimic.io.store import written_whole
 from mimic.records import FloatArray
 
@@ -64,6 +65,9 @@ def write_mjcf(source: Path, machine: MachineModel, effects: EffectSet, out: Pat
         machine: As it was read, with the gains of the log.
         effects: What it has; those of `not_written` are left out.
         out: The file.
+
+    Raises:
+        AssetError: If MuJoCo cannot write or compile it.
     """
     spec: Any = mujoco.MjSpec.from_file(str(source))
     make_room(spec)
@@ -94,9 +98,13 @@ def write_mjcf(source: Path, machine: MachineModel, effects: EffectSet, out: Pat
     if ("base_tilt", "roll") in p:
         tilt = p["base_tilt", "roll"][:, 0], p["base_tilt", "pitch"][:, 0]
         spec.option.gravity = tilted_gravity(*tilt, spec.option.gravity)[0]
-    spec.compile()
+    try:
+        spec.compile()
+        text = spec.to_xml()
+    except (ValueError, mujoco.FatalError) as reason:
+        raise AssetError(f"{source} cannot be written with effects: {' '.join(str(reason).split())}") from None
     with written_whole(out) as part:
-        part.write_text(spec.to_xml(), encoding="utf-8")
+        part.write_text(text, encoding="utf-8")
 
 
 def _write_inertias(spec: Any, machine: MachineModel, p: dict[tuple[str, str], FloatArray]) -> None:

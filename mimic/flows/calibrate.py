@@ -97,20 +97,24 @@ def calibrate(
     name = names[0] if len(logs) == 1 else f"{len(logs)} logs: {', '.join(names[: len(logs)])}"
     result = _signed(result, name, warnings, store.plain(provenance(settings, files)))
     if out is not None:
-        save_calibration(result, out)
-        if isinstance(model, (str, Path)) and result.log_matches_model:
-            _save_model(Path(model), machine, result, out)
+        of_file = isinstance(model, (str, Path)) and machine.drives.volts is None
+        save_calibration(result, out, (Path(model), machine) if of_file else None)  # type: ignore[arg-type]
     return result
 
 
-def _save_model(source: Path, machine: MachineModel, result: Calibration, out: Path) -> None:
+def _model_files(source: Path, machine: MachineModel, result: Calibration, folder: Path) -> list[Path]:
     """Write the machine with its effects for other programs; what they cannot hold is named in ACTUATORS."""
     from mimic.dynamics.written_model import actuator_settings, write_mjcf
 
-    if machine.drives.volts is not None:
-        return
-    write_mjcf(source, machine, result.effects, out / MODEL)
-    store.save_json(actuator_settings(machine, result.effects), out / ACTUATORS)
+    settings = actuator_settings(machine, result.effects)
+    made = [folder / ACTUATORS]
+    try:
+        write_mjcf(source, machine, result.effects, folder / MODEL)
+        made.append(folder / MODEL)
+    except AssetError as reason:
+        settings[MODEL] = str(reason)
+    store.save_json(settings, folder / ACTUATORS)
+    return made
 
 
 def _log_name(index: int) -> str:
@@ -287,8 +291,13 @@ def _missing_gains(log: JointLog, machine: MachineModel) -> list[str]:
     return [f"the notes of the log lack {' and '.join(lacking)}; the model's values are used: {' and '.join(own)}"]
 
 
-def save_calibration(result: Calibration, out: Path) -> list[Path]:
-    """Write all files of a calibration, or none; effects.toml only where log and model fit together.
+def save_calibration(result: Calibration, out: Path, model: tuple[Path, MachineModel] | None = None) -> list[Path]:
+    """Write all files of a calibration, or none; effects and models only where log and model fit together.
+
+    Args:
+        result: The calibration.
+        out: Folder.
+        model: An MJCF and the machine in it, which are then written with the effects for other programs.
 
     Returns:
         The files written.
@@ -305,6 +314,8 @@ def save_calibration(result: Calibration, out: Path) -> list[Path]:
         if result.log_matches_model:
             comment = (result.sentence, f"Made by: {COMMAND.get()}")
             made.append(write_effects(result.effects, part / EFFECTS, comment))
-        else:
-            (out / EFFECTS).unlink(missing_ok=True)  # of an earlier log
+            made += _model_files(*model, result, part) if model is not None else []
+        for name in (EFFECTS, MODEL, ACTUATORS):
+            if part / name not in made:
+                (out / name).unlink(missing_ok=True)  # of an earlier log
         return [file.replace(out / file.name) for file in made]
