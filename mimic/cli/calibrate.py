@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from mimic.cli import options as o
 from mimic.cli.console import ConsoleReporter, console, matrix, note, table, warn
 from mimic.cli.exit_status import DONE, USER_ERROR
+from mimic.errors import ConfigError
 
 if TYPE_CHECKING:
     from mimic.records import FloatArray
@@ -48,6 +49,8 @@ def calibrate(
     from mimic.flows.calibrate import calibrate as explain
 
     if compare is not None:
+        if held_out or out is not None:
+            raise ConfigError("--compare holds no log out and writes nothing; leave out --held-out and --out")
         return _compare(logs, compare, model, settings, note)
     folder = out or Path("calibration") / (logs[0].stem if logs else "log")
     result = explain(list(logs), model, settings, held_out=held_out, notes=note, out=folder, reporter=ConsoleReporter())
@@ -60,7 +63,6 @@ def _compare(
     logs: Sequence[Path], other: Path, model: Path | None, settings: o.Calibrate, notes: tuple[str, ...]
 ) -> int:
     """Print how two units differ."""
-    from mimic.errors import ConfigError
     from mimic.flows.compare_units import compare
     from mimic.view.report.svg import number
 

@@ -63,7 +63,7 @@ def static_fields(batch: Batch, machine: MachineModel, law: Law, p: Parameters) 
     armature[:] = p.get(("armature", "inertia"), model.dof_armature[None])
     if law.rotor is not None:
         armature[law.rotor["there"]] = 0.0
-    parts = _inertial_parts(p)
+    parts = inertial_parts(p)
     if any(part is not None for part in parts):
         made = inertias(machine, *parts)
         for f in fields(made):
@@ -85,14 +85,15 @@ def static_model(model: mujoco.MjModel, machine: MachineModel, p: Parameters) ->
     there = [p[key][0] > 0 for key in (("backlash", "gap"), ("compliance", "compliance")) if key in p]
     if there:  # the rotor is a state of the law
         model.dof_armature[dofs] = np.where(np.any(there, axis=0), 0.0, model.dof_armature[dofs])
-    parts = _inertial_parts(p)
+    parts = inertial_parts(p)
     if any(part is not None for part in parts):
         bodies = [model.body(machine.model.body(b).name).id for b in machine.body]
         changed_inertias(Inertias.of(model), bodies, machine, *parts).write(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def _inertial_parts(p: Parameters) -> list[FloatArray | None]:
+def inertial_parts(p: Parameters) -> list[FloatArray | None]:
+    """Return what changes the links: factors on masses, shifts of centres and masses at tips, (N, J) or None."""
     return [p.get(key) for key in (("link_mass", "factor"), ("com_shift", "distance"), ("payload", "mass"))]
 
 

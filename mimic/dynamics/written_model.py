@@ -15,7 +15,7 @@ import numpy as np
 from mimic.dynamics.catalogue.kinds import UNLIMITED
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import Inertias, MachineModel, changed_inertias, make_room, tilted_gravity
-from mimic.dynamics.servo import parameters_of
+from mimic.dynamics.servo import inertial_parts, parameters_of
 from mimic.errors import AssetError
 from mimic.io.store import written_whole
 from mimic.records import FloatArray
@@ -34,10 +34,15 @@ def not_written(effects: EffectSet) -> tuple[str, ...]:
 
 
 def joint_settings(machine: MachineModel, effects: EffectSet) -> dict[str, FloatArray]:
-    """Return the numbers (J,) of each joint: kp, kd, torque, speed, friction, damping, armature, delay; SI units."""
+    """Return the numbers (J,) of each joint in SI units.
+
+    kp, kd, torque, speed, friction, damping, armature, delay; stiffness and moment at zero of its springs, those of the
+    model and the effect together.
+    """
     p = parameters_of(effects, machine)
     drives = machine.drives
     count = len(machine.joints)
+    own_stiffness = machine.model.jnt_stiffness.reshape(count, -1)[:, 0]
 
     def number(effect: str, parameter: str, otherwise: Any) -> FloatArray:
         value = p[effect, parameter][0] if (effect, parameter) in p else otherwise
@@ -52,8 +57,8 @@ def joint_settings(machine: MachineModel, effects: EffectSet) -> dict[str, Float
         "damping": number("viscous", "coefficient", machine.model.dof_damping),
         "armature": number("armature", "inertia", drives.armature),
         "delay": number("delay", "time", 0.0).clip(min=0.0),
-        "stiffness": number("spring", "stiffness", machine.model.jnt_stiffness),
-        "moment": number("spring", "moment", 0.0),
+        "stiffness": own_stiffness + number("spring", "stiffness", 0.0),
+        "moment": own_stiffness * machine.model.qpos_spring + number("spring", "moment", 0.0),
     }
 
 
@@ -108,7 +113,7 @@ def write_mjcf(source: Path, machine: MachineModel, effects: EffectSet, out: Pat
 
 
 def _write_inertias(spec: Any, machine: MachineModel, p: dict[tuple[str, str], FloatArray]) -> None:
-    parts = [p.get(key) for key in (("link_mass", "factor"), ("com_shift", "distance"), ("payload", "mass"))]
+    parts = inertial_parts(p)
     if all(part is None for part in parts):
         return
     made = changed_inertias(Inertias.of(machine.model), machine.body, machine, *parts)

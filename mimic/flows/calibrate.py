@@ -27,12 +27,12 @@ REPORT = "report.html"
 """Report of a calibration."""
 RESULT = "calibration.json"
 """Its figures."""
-MODEL = "model.xml"
-"""… the MJCF with what was found, of a machine whose drives control torque."""
-ACTUATORS = "actuators.json"
-"""… the same as actuator settings of mjlab and Isaac Lab."""
 EFFECTS = "effects.toml"
 """Its effects, as simulation and training read them."""
+MODEL = "model.xml"
+"""The MJCF with these effects, where the drives control torque."""
+ACTUATORS = "actuators.json"
+"""The same as actuator settings of mjlab and Isaac Lab."""
 
 
 def calibrate(

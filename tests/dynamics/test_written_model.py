@@ -102,6 +102,18 @@ def test_the_mjcf_moves_in_mujoco_as_the_effects_written_into_it_by_hand(source,
     assert np.abs(found - expected).max() < 2e-3
 
 
+def test_a_spring_of_the_file_stays_and_one_that_was_found_is_added(source, tmp_path):
+    source.write_text(ARM.replace('name="b" axis="0 1 0"', 'name="b" axis="0 1 0" stiffness="2" springref="0.4"'))
+    machine = read_machine(source)
+    write_mjcf(source, machine, EffectSet(()), tmp_path / "same.xml")
+    assert played(tmp_path / "same.xml", 0.0) == pytest.approx(played(source, 0.0), abs=1e-9)
+    found = EffectSet((effect("spring", joints=("b",), stiffness=1.0, moment=0.5),))
+    write_mjcf(source, machine, found, tmp_path / "more.xml")
+    joint = mujoco.MjModel.from_xml_path(str(tmp_path / "more.xml")).joint("b")
+    assert joint.stiffness[0] == pytest.approx(3.0)
+    assert joint.qpos_spring[0] == pytest.approx((2.0 * 0.4 + 0.5) / 3.0)
+
+
 def test_a_machine_without_effects_stays_as_it_is(source, tmp_path):
     write_mjcf(source, read_machine(source), EffectSet(()), tmp_path / "same.xml")
     assert played(tmp_path / "same.xml", 0.0) == pytest.approx(played(source, 0.0), abs=1e-9)

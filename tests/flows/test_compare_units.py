@@ -5,11 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mimic.cli import main
-
-PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body name="link">
-<joint name="hinge" axis="0 1 0" range="-1.2 1.2" damping="0.02"/>
-<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.8"/></body></worldbody>
-<actuator><position joint="hinge" kp="30" kv="1.5"/></actuator></mujoco>"""
+from tests.cli.test_calibrate import PENDULUM
 
 UNIT = """[[effect]]
 name = "coulomb"
@@ -60,3 +56,11 @@ def test_two_logs_beside_the_other_unit_are_refused(unit, capsys):
     status, said = compared(capsys, "a.parquet")
     assert status == 2
     assert "--compare compares two logs, and 2 are given beside it; give one" in said
+
+
+@pytest.mark.parametrize("more", [("--out", "folder"), ("--held-out", "a.parquet")])
+def test_what_a_comparison_does_not_do_is_refused(unit, capsys, more):
+    unit("a", friction=0.2, stiffness=2.0, seed=1)
+    status, said = compared(capsys, *more)
+    assert status == 2
+    assert "leave out --held-out and --out" in said
