@@ -472,6 +472,7 @@ class StandTrackEnv(VecEnv, Chance):
         early = self._early() & (step > 3)
         high = early & (hind[..., 2].amax(-1) > numbers.early_toe_height)
         jump = early & ((q - self._q_before).abs().amax(-1) > numbers.early_joint_step)
+        jump = jump & self.worlds.quiet  # motors of other worlds are up to half as strong again
         touch = ~self._upright_start & (step > GRACE_STEPS) & ~tracking & grounded
         met = torch.stack([near, high, jump, touch]).float().sum(0)
         return fallen | ((met > 0) & (self._rand() < self._termination_share)), met
