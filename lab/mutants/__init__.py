@@ -1,0 +1,1 @@
+"""Mutants: one token of mimic/ is changed, and the tests of the mirrored folder must notice."""
