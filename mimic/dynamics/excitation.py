@@ -3,7 +3,8 @@
 ``probe`` holds what docs/manual/calibration.md asks for: the same multisine at both ends (noise floor, heat and
 drift), a chirp (inertia, elasticity, lags), random steps (delay), slow triangles over the whole range (friction,
 cogging), still poses (gravity, tilt, offsets), small reversals without and with load (backlash, Stribeck) and large
-fast moves (torque limit). ``random`` is smoothed noise of mixed bandwidth with holds, for a second log.
+fast moves (torque limit). Each of these can be had alone. ``random`` is smoothed noise of mixed bandwidth with holds,
+for a second log.
 
 Joints move at the same time and independently, so any combination inside the given ranges must be safe. Targets jump
 in ``steps`` and ``large``; start a machine that nobody has moved yet with a small ``size``.
@@ -22,7 +23,7 @@ from mimic.geometry import smoothstep
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 
-Kind = Literal["probe", "random"]
+Kind = Literal["probe", "random", "chirp", "steps", "triangles", "poses", "small", "large"]
 
 SHORTEST = 10.0
 """Below this no section has room to show anything [s]."""
@@ -34,6 +35,9 @@ _HOLD = 0.5
 """Rest at the centre before each multisine [s]."""
 _BLEND = 0.4
 """Time from one section to the next [s]."""
+
+SECTIONS = ("chirp", "steps", "triangles", "poses", "small", "large")
+"""Kinds that show one thing each."""
 
 _SHARES = {"chirp": 0.2, "steps": 0.2, "triangles": 0.3, "poses": 0.1, "small": 0.1, "large": 0.1}
 """Sections between the two multisines, as shares of that time."""
@@ -77,7 +81,7 @@ def probe_targets(
         seconds: Length; sections shrink in proportion, the multisines last 10 s from 60 s on.
         rate_hz: Targets per second.
         seed: Draws phases, levels and times.
-        kind: ``probe`` or ``random``.
+        kind: ``probe``, one of its sections, or ``random``.
         size: Share of the range that is used, from 0 to 1.
 
     Raises:
@@ -97,8 +101,10 @@ def probe_targets(
         signals = _probe(draw, seconds)
     elif kind == "random":
         signals = _random(draw, seconds)
+    elif kind in SECTIONS:
+        signals = [("rest", draw.rest(_HOLD)), (kind, _sections(draw)[kind](seconds))]
     else:
-        raise ConfigError(f"excitation {kind!r} does not exist; it is probe or random")
+        raise ConfigError(f"excitation {kind!r} does not exist; it is probe, random, {', '.join(SECTIONS)}")
     count = round(seconds * rate_hz)
     u, sections = _joined(signals, count, round(_BLEND * rate_hz))
     q = centre + size * np.where(u > 0, u * (high - centre), u * (centre - low))
@@ -196,7 +202,15 @@ def _probe(draw: _Draw, seconds: float) -> list[_Section]:
     sine = min(10.0, seconds / 6)
     between = seconds - 2 * (sine + _HOLD) - _BLEND
     same = np.concatenate((draw.rest(_HOLD), draw.multisine(sine)))
-    make: dict[str, Callable[[float], FloatArray]] = {
+    make = _sections(draw)
+    middle = [(name, make[name](share * between)) for name, share in _SHARES.items()]
+    count = round(seconds * draw.rate) - 2 * len(same) - sum(len(u) for _, u in middle)
+    return [("multisine", same), *middle, ("rest", np.zeros((count, draw.joints))), ("multisine", same)]
+
+
+def _sections(draw: _Draw) -> dict[str, Callable[[float], FloatArray]]:
+    """Return what makes each section of a length [s]."""
+    return {
         "chirp": draw.chirp,
         "steps": lambda s: draw.steps(s, 0.4, 0.3, 1.0),
         "triangles": lambda s: draw.triangles(s, 0.97, 0.1, 0.25),
@@ -204,9 +218,6 @@ def _probe(draw: _Draw, seconds: float) -> list[_Section]:
         "small": draw.small,
         "large": lambda s: draw.steps(s, 0.95, 0.35, 0.8),
     }
-    middle = [(name, make[name](share * between)) for name, share in _SHARES.items()]
-    count = round(seconds * draw.rate) - 2 * len(same) - sum(len(u) for _, u in middle)
-    return [("multisine", same), *middle, ("rest", np.zeros((count, draw.joints))), ("multisine", same)]
 
 
 def _random(draw: _Draw, seconds: float) -> list[_Section]:

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mimic.dynamics.excitation import hung_ranges, probe_targets
+from mimic.dynamics.excitation import SECTIONS, hung_ranges, probe_targets
 from mimic.errors import ConfigError
 from mimic.robot.description import load_description
 
@@ -12,7 +12,7 @@ DESCRIPTION = load_description("cyberdog2")
 LOW, HIGH, CENTRE = hung_ranges(DESCRIPTION)
 
 
-@pytest.mark.parametrize("kind", ["probe", "random"])
+@pytest.mark.parametrize("kind", ["probe", "random", *SECTIONS])
 @pytest.mark.parametrize("seconds", [10.0, 60.0, 97.3, 120.0])
 def test_targets_fill_the_time_and_stay_in_the_ranges(kind, seconds):
     motion = probe_targets(LOW, HIGH, CENTRE, seconds=seconds, seed=3, kind=kind)
@@ -93,5 +93,5 @@ def test_impossible_motions_are_refused_with_the_reason():
         probe_targets(LOW, HIGH, CENTRE, seconds=float("nan"))
     with pytest.raises(ConfigError, match="between its low and its high"):
         probe_targets(LOW, HIGH, HIGH)
-    with pytest.raises(ConfigError, match="probe or random"):
+    with pytest.raises(ConfigError, match="it is probe, random"):
         probe_targets(LOW, HIGH, CENTRE, kind="wild")
