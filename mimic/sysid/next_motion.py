@@ -61,7 +61,8 @@ def next_motion(
     Raises:
         ConfigError: If a joint was not moved, so that no range is known.
     """
-    targets = np.concatenate([log.of(machine.joints).q_des for log in logs if log.q_des is not None])
+    ordered = [log.of(machine.joints).q_des for log in logs]
+    targets = np.concatenate([q_des for q_des in ordered if q_des is not None])
     low = targets.min(0)
     high = targets.max(0)
     tried = [_tried(machine, noise, first, second, motion) for motion in _motions(low, high, EXACT.rate_hz)]
