@@ -22,6 +22,7 @@ import os
 import sys
 import tempfile
 import threading
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict
@@ -151,7 +152,10 @@ def main() -> int:
     for folder in folders.values():
         for test in folder.deselected:
             print(f"deselected: {test}")
-    print(f"\n{len(passed_over)} places passed over: no test of their folder can run here\n")
+    print()
+    for folder, count in Counter(folder_of(tree, mutant.file) for mutant in passed_over).items():
+        print(f"passed over, as no test of the folder can run here: {count} places of {folder}")
+    print()
     wanted = {key(asdict(mutant)) for mutant in chosen}
     print(table([row for row in rows if "result" in row and key(row) in wanted]))
     return 0

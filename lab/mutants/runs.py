@@ -22,6 +22,9 @@ from lab.mutants.places import Mutant
 LEFT_OUT = shutil.ignore_patterns(".git", ".gpu*", ".venv", "__pycache__", ".*_cache", ".hypothesis", "runs", "site")
 """What a copy of the tree goes without."""
 
+OWN_FILES = {"__pycache__", ".hypothesis"}
+"""Folders that runs may write to."""
+
 OWN_ROOT = Path(__file__).resolve().parents[2]
 
 LONGEST = 1800.0
@@ -99,16 +102,27 @@ class Copy:
     """A copy of the tree, in which one run at a time is made.
 
     Everything in it is compiled once, and Python compares each file with what was compiled (PEP 552, checked hash): a
-    changed file is never taken for the old one. Runs write no compiled files themselves.
+    changed file is never taken for the old one. Runs write no compiled files themselves. A copy that a mutant has
+    damaged is made anew.
     """
 
     def __init__(self, source: Path, place: Path) -> None:
         self.root = place / "tree"
         self.work = place / "work"
-        shutil.copytree(source, self.root, ignore=LEFT_OUT, symlinks=True)
+        self._source = source
+        self._make()
+
+    def _make(self) -> None:
+        shutil.copytree(self._source, self.root, ignore=LEFT_OUT, symlinks=True)
         checked = py_compile.PycInvalidationMode.CHECKED_HASH
         for name in ("mimic", "tests"):
             compileall.compile_dir(self.root / name, quiet=2, invalidation_mode=checked)
+        self._made = self._files()
+
+    def _files(self) -> dict[Path, tuple[int, int]]:
+        """Return size and time of change of each file, without compiled ones and those of hypothesis."""
+        files = [path for path in self.root.rglob("*") if path.is_file() and not OWN_FILES & {*path.parts}]
+        return {path: (path.stat().st_size, path.stat().st_mtime_ns) for path in files}
 
     def pytest(self, files: list[str], options: list[str], limit: float) -> Ended:
         """Run files of tests in the fast tier, for some seconds at the most."""
@@ -134,7 +148,7 @@ class Copy:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                preexec_fn=_limit_memory,
+                preexec_fn=_prepare,
             )
             status: int | None = None
             try:
@@ -184,6 +198,7 @@ class Copy:
         """Run the tests against a mutant, its own first, until one fails; return the row."""
         path = self.root / mutant.file
         source = path.read_text(encoding="utf-8")
+        _, changed = self._made[path]
         files = nearest_first(mutant.file, folder.files)
         # A file without a test that passes is not among the files, and need not be deselected.
         options = [f"--deselect={test}" for test in folder.deselected if test.split("::")[0] in files]
@@ -192,6 +207,10 @@ class Copy:
             ended = self.pytest(files, ["-x", *options], PATIENCE * folder.seconds + GRACE)
         finally:
             path.write_text(source, encoding="utf-8")
+            os.utime(path, ns=(changed, changed))
+            if self._files() != self._made:
+                shutil.rmtree(self.root)
+                self._make()
         row = {**asdict(mutant), "folder": folder.folder, "result": "caught", "seconds": ended.seconds}
         if ended.status is None:
             return {**row, "result": "hung"}
@@ -201,9 +220,10 @@ class Copy:
         return {**row, "by": (ended.failed or last or [f"status {ended.status}"])[0]}
 
 
-def _limit_memory() -> None:
-    """Hold the process below `MEMORY`: a mutant may ask for any amount."""
+def _prepare() -> None:
+    """Hold the process below `MEMORY`, and let it hear Ctrl-C, which shells take from what runs in the background."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from lab.mutants import __main__ as mutants
 from lab.mutants.places import drawn, places
-from lab.mutants.runs import folder_of, nearest_first
+from lab.mutants.runs import Copy, Folder, folder_of, nearest_first
 
 CODE = '''"""Text with 1 + 1 and True."""
 
@@ -114,13 +114,23 @@ def test_mutants_are_judged_by_tests_that_pass_as_they_are(
     }
     told = capsys.readouterr().out
     assert "deselected: tests/a/test_other.py::test_fails_already" in told
-    assert "2 places passed over" in told
+    assert "passed over, as no test of the folder can run here: 2 places of tests/b" in told
     assert "| tests/a | 3 | 2 | 0 | 67% |" in told
     assert (tree / "mimic/a/known.py").read_text(encoding="utf-8") == KNOWN
     # Nothing is run again.
     lines = len(rows)
     assert mutants.main() == 0
     assert len(out.read_text(encoding="utf-8").splitlines()) == lines
+
+
+def test_what_a_mutant_damages_is_mended(tmp_path: Path) -> None:
+    test = "from pathlib import Path\ndef test_it():\n    Path(__file__).with_name('data').write_text('none')\n"
+    code = "def known(x):\n    return -x\n"
+    files = {"mimic/__init__.py": "", "mimic/a/known.py": code, "tests/a/test_known.py": test, "tests/a/data": "one"}
+    copy = Copy(write(tmp_path / "tree", files), tmp_path / "copy")
+    mutant = next(drawn(copy.root, 0))
+    copy.judge(mutant, Folder("tests/a", files=("tests/a/test_known.py",)))
+    assert {name: (copy.root / name).read_text(encoding="utf-8") for name in files} == files
 
 
 def test_a_mutant_that_does_not_end_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
