@@ -192,7 +192,8 @@ class CapturedPPO(PPO):
     def _gradients(self, i: int) -> None:
         """Put gradients and KL divergence of a minibatch into the flat buffer, and add its losses to the sums."""
         b = {name: column[i * self._size : (i + 1) * self._size] for name, column in self._batch.items()}
-        mean, values = self.actor.mlp(b["actor"]), self.critic.mlp(b["critic"])
+        mean = self.actor.mlp(b["actor"])
+        values = self.critic.mlp(b["critic"])
         image = self.actor.mlp(b["image"]) if self._mirror else None
         policy: Any = self.actor.distribution
         policy.update(mean)
@@ -220,7 +221,8 @@ class CapturedPPO(PPO):
 
     def _apply(self) -> None:
         """Adapt the learning rate to the KL divergence and make a step."""
-        kl, rate = self._flat[-1], self._rate
+        kl = self._flat[-1]
+        rate = self._rate
         down = torch.clamp(rate / 1.5, min=RATE_RANGE[0])
         up = torch.clamp(rate * 1.5, max=RATE_RANGE[1])
         learns = self._policy_share > 0.0

@@ -59,8 +59,10 @@ class Schedule:
     """What changes as a training goes on: entropy bonus, wanted divergence, and when a policy begins to learn."""
 
     def __init__(self, settings: LearnSettings, algorithm: Any) -> None:
-        self._settings, self._algorithm = settings, algorithm
-        self._share, self._critic_alone = 0.0, 0
+        self._settings = settings
+        self._algorithm = algorithm
+        self._share = 0.0
+        self._critic_alone = 0
 
     def critic_first(self) -> None:
         """Let only the critic learn for a while."""
@@ -76,7 +78,8 @@ class Schedule:
         self._set(share)
 
     def _set(self, share: float) -> None:
-        s, self._share = self._settings, min(share, 1.0)
+        s = self._settings
+        self._share = min(share, 1.0)
         self._algorithm.entropy_coef = s.entropy * (s.entropy_end / s.entropy) ** self._share
         self._algorithm.desired_kl = s.desired_kl * (s.desired_kl_end / s.desired_kl) ** self._share
 
@@ -139,7 +142,8 @@ def train(
         TrainingDiverged: If a loss is not finite.
         ConfigError: If the device is not there.
     """
-    device, first = own_device(learn.device), rank() == 0
+    device = own_device(learn.device)
+    first = rank() == 0
     if mdp.task == "sit_down":  # its clock tells the time, which has no mirror image
         learn = replace(learn, mirror=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True

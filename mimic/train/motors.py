@@ -45,14 +45,17 @@ def drawn_parameters(
     """
     found: dict[tuple[str, str], FloatArray] = {}
     for (name, parameter), row in parameters_of(effects, machine).items():
-        e, spec = next(e for e in effects.applied if e.name == name), CATALOGUE[name].parameter(parameter)
-        low, high = row[0].copy(), row[0].copy()
+        e = next(e for e in effects.applied if e.name == name)
+        spec = CATALOGUE[name].parameter(parameter)
+        low = row[0].copy()
+        high = row[0].copy()
         if parameter in e.values and not spec.fixed:
             at = [machine.joints.index(j) for j in e.joints] if e.joints else [0]
             value = np.asarray(e.values[parameter])
             around = np.stack([value - MARGIN * np.abs(value), value + MARGIN * np.abs(value)], -1)
             ends = np.clip(e.intervals.get(parameter, around), spec.low, spec.high)
-            low[at], high[at] = ends[:, 0], ends[:, 1]
+            low[at] = ends[:, 0]
+            high[at] = ends[:, 1]
         found[name, parameter] = rng.uniform(low, high, (count, len(low)))
     return found
 
@@ -80,7 +83,8 @@ class WorldMotors(Chance):
             ConfigError: If an effect names an unknown joint.
         """
         super().__init__(worlds, device)
-        self._d, self._machine = description, hung_robot(description)
+        self._d = description
+        self._machine = hung_robot(description)
         self._p = drawn_parameters(effects, self._machine, robots, np.random.default_rng([seed, 19]))
         self.time = self._zeros(1)
         """Since the beginning of each world's episode, at the start of the control step (N, 1) [s]."""
@@ -93,20 +97,27 @@ class WorldMotors(Chance):
 
     def fit(self, variations: Sequence[Variation], index: IntArray, servo: Servo, latest: float) -> None:
         """Put the motors in; world i has robot index[i] (N,); no drawn delay is longer than ``latest`` [s]."""
-        h, count = self._d.timestep, len(variations)
+        h = self._d.timestep
+        count = len(variations)
         shift = np.broadcast_to(target_shift(self._p, h), (count, 12))
         self._delayed = ("delay", "time") in self._p
         spread = self._p.get(("delay_jitter", "spread"), np.zeros((count, 1))) / h
         most = shift.max() + spread.max() + (0.0 if self._delayed else latest / h)
         kept = max(math.ceil(most / self._d.decimation), 1) + 2  # one to move from
         p = {key: self._tensor(value[index]) for key, value in self._p.items() if not CATALOGUE[key[0]].random}
-        self._shift, self._spread = self._tensor(shift[index]), self._tensor(spread[index])
+        self._shift = self._tensor(shift[index])
+        self._spread = self._tensor(spread[index])
         self._lost = self._tensor(self._p.get(("lost_commands", "share"), np.zeros((count, 1)))[index])
-        self._targets, self._late, self._shifts = ([self._zeros(k) for _ in range(kept)] for k in (12, 1, 12))
+        self._targets = [self._zeros(12) for _ in range(kept)]
+        self._late = [self._zeros(1) for _ in range(kept)]
+        self._shifts = [self._zeros(12) for _ in range(kept)]
         drives = self._machine.drives
-        self._usual = self._tensor(drives.kp), self._tensor(drives.kd)
-        factors = (np.array([getattr(v, name) for v in variations])[index] for name in ("kp", "kd"))
-        self._own = tuple(u * self._tensor(factor) for u, factor in zip(self._usual, factors, strict=True))
+        usual_kp = self._tensor(drives.kp)
+        usual_kd = self._tensor(drives.kd)
+        factor_kp = self._tensor(np.array([v.kp for v in variations])[index])
+        factor_kd = self._tensor(np.array([v.kd for v in variations])[index])
+        self._usual = usual_kp, usual_kd
+        self._own = usual_kp * factor_kp, usual_kd * factor_kd
         dry = drives.friction * np.array([v.dry_friction for v in variations])
         p.setdefault(("coulomb", "level"), self._tensor(dry[index]))
         given = {f.name: getattr(drives, f.name) for f in fields(Drives) if f.name != "neighbour"}
@@ -114,7 +125,8 @@ class WorldMotors(Chance):
         neighbour = torch.as_tensor(np.asarray(drives.neighbour), device=self._device)
         self._law = Law(Drives(**rows, neighbour=neighbour), p, h, (self._n, 12), torch)
         self._states = dict(self._law.states)
-        self._servo, self._law.needed = servo, servo.needed
+        self._servo = servo
+        self._law.needed = servo.needed
         self.set_share(1.0)
 
     def set_share(self, share: float) -> None:
@@ -151,7 +163,8 @@ class WorldMotors(Chance):
         """Hand over the inputs of the next physics step, from link positions and velocities (N, 12)."""
         shares = shares_in_effect(substep, self._d.decimation, self._shifts, torch)
         targets = moving_targets(substep, self._d.decimation, self._shifts, self._targets, torch)
-        target, parts = target_in_effect(shares, targets), list(zip(shares, targets, strict=True))
+        target = target_in_effect(shares, targets)
+        parts = list(zip(shares, targets, strict=True))
         inputs = self._law.step(q, dq, target, self.time + substep * self._d.timestep, parts=parts)
         self._servo.write(inputs)
         self.tau.copy_(inputs.tau)

@@ -80,9 +80,11 @@ class QuietLogger(Logger):
         self, report: Report | None, seconds: float, session: float, before: float, progressed: Callable[[float], None]
     ) -> None:
         """Say what to call, how long training and session may last, and how long the training has lasted [s]."""
-        self._report, self._progressed = report, progressed
+        self._report = report
+        self._progressed = progressed
         self._begin = time.monotonic() - before
-        self._seconds, self._last = seconds, min(seconds, before + session)
+        self._seconds = seconds
+        self._last = min(seconds, before + session)
         self._ended = torch.zeros(3, device=self.device)
 
     @property

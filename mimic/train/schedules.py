@@ -27,8 +27,11 @@ ARM_SPEED = (0.8, 10.0)
 PEAK = 1.875
 """Fastest speed on a way over its mean speed."""
 
-SHORTEST_WAY, LONGEST_HOLD = 0.35, 3.0
-"""No way takes less time than AHEAD looks and a command leads; arms stay no longer [s]."""
+SHORTEST_WAY = 0.35
+"""No way takes less time than AHEAD looks and a command leads [s]."""
+
+LONGEST_HOLD = 3.0
+"""Arms stay no longer [s]."""
 
 FAST_SHARE = 0.5
 """Share of velocities drawn evenly up to the fastest; the others are the paper's 0.1, 0.2 and 0.3 m/s."""
@@ -57,7 +60,8 @@ class ArmSchedule(Chance):
         self, description: RobotDescription, contract: PolicyContract, settings: MdpSettings, device: str, seed: int
     ) -> None:
         super().__init__(settings.worlds, device)
-        self._hold_share, self._dt = settings.hold_share, contract.dt
+        self._hold_share = settings.hold_share
+        self._dt = contract.dt
         rng = np.random.default_rng([seed, 29])
         q, excess = leg_joints(draw_goals(description, POOL, rng, anywhere=ANYWHERE), description)
         self._pool = self._tensor(q[(excess <= 0.0).all(-1)])
@@ -124,8 +128,10 @@ class ArmSchedule(Chance):
         share = (torch.where(later, t - ends, t) / length).clamp(0.0, 1.0)[..., None]
         length = length[..., None]
         begin, middle, end = (goal.reshape(-1, 1, FRONT) for goal in self._goals.unbind(1))
-        begin, end = torch.where(later[..., None], middle, begin), torch.where(later[..., None], end, middle)
-        way, left = end - begin, 1 - share
+        begin = torch.where(later[..., None], middle, begin)
+        end = torch.where(later[..., None], end, middle)
+        way = end - begin
+        left = 1 - share
         self.q.copy_(begin + way * share**3 * (10 - 15 * share + 6 * share * share))
         self.dq.copy_(way * 30 * (share * left).square() / length)
         self.ddq.copy_(way * 60 * share * left * (1 - 2 * share) / length.square())
@@ -136,7 +142,8 @@ class MoveSchedule(Chance):
 
     def __init__(self, contract: PolicyContract, settings: MdpSettings, device: str) -> None:
         super().__init__(settings.worlds, device)
-        self._settings, self._dt = settings, contract.dt
+        self._settings = settings
+        self._dt = contract.dt
         self.velocity = self._zeros(2)
         """Desired base velocity in the heading frame (N, 2) [m/s]."""
         self.heading = self._zeros()

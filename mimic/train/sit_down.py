@@ -16,15 +16,26 @@ from mimic.train.stand_track import Judged, StandTrackEnv, mean
 from mimic.train.starts import SitDownStarts, Start
 from mimic.train.tensors import put
 
-EPISODE_STEPS, SECONDS = 150, 1.2
-"""Control steps of an episode, and time that going down should take [s]."""
+EPISODE_STEPS = 150
+"""Control steps of an episode."""
+
+SECONDS = 1.2
+"""Time that going down should take [s]."""
 
 CRASH_SPEED = 0.8
 """An episode ends where the trunk touches the ground faster than this [m/s]."""
 
-SINKING, MOVING, TUMBLING, JOLT = 0.45, 0.7, 3.0, 15.0
-"""More costs: the base's speed downward and in any direction [m/s], its angular speed [rad/s], and its acceleration
-over a control step [m/s^2]."""
+SINKING = 0.45
+"""Free speed of the base downward [m/s]; more costs, as with the next three."""
+
+MOVING = 0.7
+"""Free speed of the base in any direction [m/s]."""
+
+TUMBLING = 3.0
+"""Free angular speed of the base [rad/s]."""
+
+JOLT = 15.0
+"""Free acceleration of the base over a control step [m/s^2]."""
 
 NEAR = 0.004
 """What is lower than this touches the ground [m]."""
@@ -32,8 +43,11 @@ NEAR = 0.004
 HEAD_ROOM = 0.05
 """The lowest point of the head should stay this high [m]."""
 
-ON_ITS_BACK, ON_ITS_SIDE = -0.6, 0.85
-"""An episode fails where the base's z axis points less up, or its y axis more up or down, than this (cosines)."""
+ON_ITS_BACK = -0.6
+"""An episode fails where the base's z axis points less up than this (cosine)."""
+
+ON_ITS_SIDE = 0.85
+"""An episode fails where the base's y axis points more up or down than this (cosine)."""
 
 WEIGHTS = {
     "height": 1.6,
@@ -85,8 +99,10 @@ class SitDownEnv(StandTrackEnv):
 
     def _buffers(self) -> None:
         super()._buffers()
-        self._height_at_start, self._pitch_at_start = self._zeros(), self._zeros()
-        self._velocity_before, self._front_before = self._zeros(3), self._zeros(2, 3)
+        self._height_at_start = self._zeros()
+        self._pitch_at_start = self._zeros()
+        self._velocity_before = self._zeros(3)
+        self._front_before = self._zeros(2, 3)
         self._clearance_before = self._zeros(len(self._landing))
 
     def _weights_now(self) -> dict[str, float]:
@@ -105,16 +121,19 @@ class SitDownEnv(StandTrackEnv):
         return torch.asin(torch.clamp(up_cosine(*self._quat()), -1.0, 1.0))
 
     def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
-        w, dt = self.worlds, self.contract.dt
+        w = self.worlds
+        dt = self.contract.dt
         _, contact, hind_speed, _ = self._feet_now(low)
         progress = torch.clamp(self.episode_length_buf * (dt / SECONDS), max=1.0)
-        there, smooth = (progress >= 1).float(), smoothstep(progress)
+        there = (progress >= 1).float()
+        smooth = smoothstep(progress)
         lying = self.description.training.lying_height
         height_error = w.qpos[:, 2] - (self._height_at_start + (lying - self._height_at_start) * smooth)
         pitch_error = self._pitch() - self._pitch_at_start * (1 - smooth)  # of base x above the horizontal
         pose_error = w.qpos[:, 7:] - self._lie
         velocity = w.qvel[:, :3]
-        speed, turning = velocity.norm(dim=-1), w.qvel[:, 3:6].norm(dim=-1)
+        speed = velocity.norm(dim=-1)
+        turning = w.qvel[:, 3:6].norm(dim=-1)
         later = self.episode_length_buf > 1
         acceleration = torch.where(later, (velocity - self._velocity_before).norm(dim=-1) / dt, 0.0)
         front = w.toes[:, :2]
@@ -124,7 +143,8 @@ class SitDownEnv(StandTrackEnv):
         clearance = low[:, self._landing]
         landed = (clearance < NEAR) & (self._clearance_before > NEAR) & later[:, None]
         landing = (((self._clearance_before - clearance) / dt).clamp(0.0, 4.0) * landed).square().sum(-1)
-        trunk, head = low[:, self._belly].amin(-1) < 0.002, low[:, self._head].amin(-1)
+        trunk = low[:, self._belly].amin(-1) < 0.002
+        head = low[:, self._head].amin(-1)
         qw, qx, qy, qz = self._quat()
         left_up = 2 * (qy * qz + qw * qx)  # cosine between base y and up
         overturned = (1 - 2 * (qx * qx + qy * qy) < ON_ITS_BACK) | (left_up.abs() > ON_ITS_SIDE)
@@ -134,7 +154,8 @@ class SitDownEnv(StandTrackEnv):
         self._velocity_before.copy_(velocity)
         self._front_before.copy_(front)
         self._clearance_before.copy_(clearance)
-        off, near = pose_error.square().mean(-1), torch.exp(-((pose_error / 0.12) ** 2)).mean(-1)
+        off = pose_error.square().mean(-1)
+        near = torch.exp(-((pose_error / 0.12) ** 2)).mean(-1)
         at_rest = torch.exp(-speed.square() / 0.02 - turning.square() / 0.3)
         terms = self._efforts() | {
             "height": torch.exp(-((height_error / 0.06) ** 2)),

@@ -12,7 +12,8 @@ class Chance:
     """Numbers drawn for each of N worlds, and where they go."""
 
     def __init__(self, worlds: int, device: str) -> None:
-        self._n, self._device = worlds, device
+        self._n = worlds
+        self._device = device
 
     def _rand(self, *shape: int) -> torch.Tensor:
         return torch.rand(self._n, *shape, device=self._device)
@@ -35,20 +36,25 @@ def put(buffer: torch.Tensor, where: torch.Tensor, value: torch.Tensor | float) 
 
 def in_heading_frame(vectors: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
     """Return horizontal vectors of the world (N, 2) forward and left, for headings (N,) [rad]."""
-    cosine, sine = torch.cos(heading), torch.sin(heading)
+    cosine = torch.cos(heading)
+    sine = torch.sin(heading)
     x, y = vectors.unbind(-1)
     return torch.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
 
 
 def quat_multiply(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
     """Return the product of quaternions."""
-    a, v, b, u = one[..., :1], one[..., 1:], other[..., :1], other[..., 1:]
+    a = one[..., :1]
+    v = one[..., 1:]
+    b = other[..., :1]
+    u = other[..., 1:]
     return torch.cat([a * b - (v * u).sum(-1, keepdim=True), a * u + b * v + torch.linalg.cross(v, u)], -1)
 
 
 def quat_rotate(quat: torch.Tensor, vector: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
     """Return vectors (..., 3) turned by unit quaternions, or back."""
-    w, axis = quat[..., :1], quat[..., 1:]
+    w = quat[..., :1]
+    axis = quat[..., 1:]
     axis = -axis if inverse else axis
     twice = 2 * torch.linalg.cross(axis, vector)
     return vector + w * twice + torch.linalg.cross(axis, twice)
@@ -56,9 +62,12 @@ def quat_rotate(quat: torch.Tensor, vector: torch.Tensor, *, inverse: bool = Fal
 
 def quat_from_euler(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
     """Return quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll), angles (N,) [rad]."""
-    cr, sr = torch.cos(roll / 2), torch.sin(roll / 2)
-    cp, sp = torch.cos(pitch / 2), torch.sin(pitch / 2)
-    cy, sy = torch.cos(yaw / 2), torch.sin(yaw / 2)
+    cr = torch.cos(roll / 2)
+    sr = torch.sin(roll / 2)
+    cp = torch.cos(pitch / 2)
+    sp = torch.sin(pitch / 2)
+    cy = torch.cos(yaw / 2)
+    sy = torch.sin(yaw / 2)
     parts = [
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from onnx import numpy_helper
 
 from mimic.errors import AssetError, ConfigError
 from mimic.policy.contract import AVERAGED, METADATA_KEY, PolicyContract
+from mimic.records import FloatArray, IntArray
 
 SEEN = 10**9
 """Observations that count as seen by the normalisation taken over, so that new ones hardly move it."""
@@ -46,55 +48,18 @@ def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -
         ContractError: If it declares no contract.
         ConfigError: If its observations or actions mean something else, or the settings shape another network.
     """
-    try:
-        model = onnx.load(str(path))
-    except Exception as reason:  # protobuf has errors of its own
-        raise AssetError(f"{path} is no ONNX file ({reason})") from reason
-    known = PolicyContract.from_json({entry.key: entry.value for entry in model.metadata_props}.get(METADATA_KEY, "{}"))
+    model = _load(path)
+    metadata = {entry.key: entry.value for entry in model.metadata_props}
+    known = PolicyContract.from_json(metadata.get(METADATA_KEY, "{}"))
     _compare(path.name, known, contract)
-    values = {i.name: numpy_helper.to_array(i).copy() for i in model.graph.initializer}
-    nodes = [n for n in model.graph.node if n.op_type != "Elu"]
-    if [n.op_type for n in nodes[:2]] != ["Sub", "Div"] or {n.op_type for n in nodes[2:]} != {"Gemm"}:
-        raise AssetError(f"{path} is no policy that can be trained on: {' '.join(n.op_type for n in model.graph.node)}")
-    mean, scale = (values[n.input[1]].reshape(-1) for n in nodes[:2])  # of the observation
-    layers = [(values[n.input[1]], values[n.input[2]]) for n in nodes[2:]]  # weights (out, in), biases (out,)
+    network = _network(path, model)
     linear = [m for m in actor.mlp if isinstance(m, torch.nn.Linear)]
-    here = [(m.out_features, m.in_features) for m in linear]
-    there = [w.shape for w, _ in layers]
-    if known.history > contract.history or [(o, i) for o, i in there[1:]] != here[1:] or there[0][0] != here[0][0]:
-        raise ConfigError(
-            f"{path.name} has layers of {_sizes(there)}; the settings shape {_sizes(here)}; "
-            "set hidden and history to those of the policy (history may be longer)"
-        )
-    first, bias = layers[0]
-    fresh = [(name, at) for name, at in _places(contract) if name not in dict(known.terms + known.once)]
-    means, scales = np.zeros(here[0][1], mean.dtype), np.ones(here[0][1], mean.dtype)
-    columns = np.zeros(here[0], first.dtype)
-    for frame in range(-contract.history, 0):
-        source = max(frame, -known.history)
-        for name, _ in contract.terms:
-            if name not in dict(known.terms):
-                continue
-            at = (contract.history + frame) * contract.frame_size + contract.columns(name)
-            old = (known.history + source) * known.frame_size + known.columns(name)
-            means[at], scales[at] = mean[old], scale[old]
-            if frame == source:
-                columns[:, at] = first[:, old]
-    before = {name: at for name, at in _places(known) if name in dict(known.once)}
-    for name, at in _places(contract):
-        if name in before and name in dict(contract.once):
-            old = before[name]
-            means[at], scales[at] = mean[old], scale[old]
-            columns[:, at] = first[:, old]
-    for name, at in fresh:
-        scales[at] = NEW_SPREAD[name]
-        if name == "slow_mean":  # it begins at the mean of what it averages
-            means[at] = means[at[0] - contract.columns(name)[0] + contract.columns(*AVERAGED)]
+    _compare_layers(path.name, known, contract, network, [(m.out_features, m.in_features) for m in linear])
+    means, scales, columns = _first_layer(network, known, contract)
+    _, bias = network.layers[0]
     if known.columns("toe_command").size:  # which is no longer seen: as if arms were at rest
-        at = (np.arange(known.history)[:, None] * known.frame_size + known.columns("toe_command")).reshape(-1)
-        rest = np.tile(known.neutral_toes, known.history)
-        bias = bias + first[:, at] @ ((rest - mean[at]) / scale[at]).astype(first.dtype)
-    layers = [(columns, bias), *layers[1:]]
+        bias = bias + _of_neutral_toes(network, known)
+    layers = [(columns, bias), *network.layers[1:]]
     normalizer = actor.obs_normalizer
     with torch.no_grad():
         normalizer._mean.copy_(torch.as_tensor(means)[None])
@@ -108,10 +73,102 @@ def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -
     return known.robot == contract.robot
 
 
+@dataclass(frozen=True)
+class _Network:
+    """The numbers of a policy's network."""
+
+    mean: FloatArray
+    """Mean of the observation (seen,)."""
+    scale: FloatArray
+    """What the rest is divided by (seen,)."""
+    layers: list[tuple[FloatArray, FloatArray]]
+    """Weights (out, in) and biases (out,)."""
+
+
+def _load(path: Path) -> onnx.ModelProto:
+    try:
+        return onnx.load(str(path))
+    except Exception as reason:  # protobuf has errors of its own
+        raise AssetError(f"{path} is no ONNX file ({reason})") from reason
+
+
+def _network(path: Path, model: onnx.ModelProto) -> _Network:
+    """Return the network of an ONNX policy: (observation - mean) / scale, then layers with ELUs between them."""
+    values = {i.name: numpy_helper.to_array(i).copy() for i in model.graph.initializer}
+    nodes = [n for n in model.graph.node if n.op_type != "Elu"]
+    kinds = [n.op_type for n in nodes]
+    if kinds[:2] != ["Sub", "Div"] or {*kinds[2:]} != {"Gemm"}:
+        raise AssetError(f"{path} is no policy that can be trained on: {' '.join(n.op_type for n in model.graph.node)}")
+    mean, scale = (values[n.input[1]].reshape(-1) for n in nodes[:2])
+    return _Network(mean, scale, [(values[n.input[1]], values[n.input[2]]) for n in nodes[2:]])
+
+
+def _compare_layers(
+    name: str, known: PolicyContract, contract: PolicyContract, network: _Network, here: list[tuple[int, int]]
+) -> None:
+    """Refuse a network whose layers (out, in) differ from those here in more than what it observes."""
+    there = [weights.shape for weights, _ in network.layers]
+    same = there[0][0] == here[0][0] and there[1:] == here[1:]
+    if known.history > contract.history or not same:
+        raise ConfigError(
+            f"{name} has layers of {_sizes(there)}; the settings shape {_sizes(here)}; "
+            "set hidden and history to those of the policy (history may be longer)"
+        )
+
+
+def _first_layer(
+    network: _Network, known: PolicyContract, contract: PolicyContract
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean and scale of the observation here (seen,), and the weights of the first layer (out, seen)."""
+    first, _ = network.layers[0]
+    means = np.zeros(contract.observation_size, network.mean.dtype)
+    scales = np.ones(contract.observation_size, network.mean.dtype)
+    columns = np.zeros((len(first), contract.observation_size), first.dtype)
+    for at, old, weighs in _continued(known, contract):
+        means[at] = network.mean[old]
+        scales[at] = network.scale[old]
+        if weighs:
+            columns[:, at] = first[:, old]
+    for name, at in _places(contract):
+        if name in dict(known.terms + known.once):
+            continue
+        scales[at] = NEW_SPREAD[name]
+        if name == "slow_mean":  # it begins at the mean of what it averages
+            means[at] = means[at[0] - contract.columns(name)[0] + contract.columns(*AVERAGED)]
+    return means, scales, columns
+
+
+def _continued(known: PolicyContract, contract: PolicyContract) -> Iterator[tuple[IntArray, IntArray, bool]]:
+    """Yield columns here, the columns there of the same term, and whether they have its weights.
+
+    Frames that the policy does not see are normalised as its oldest one, and have no weights.
+    """
+    for frame in range(-contract.history, 0):
+        source = max(frame, -known.history)
+        for name, _ in contract.terms:
+            if name in dict(known.terms):
+                at = (contract.history + frame) * contract.frame_size + contract.columns(name)
+                old = (known.history + source) * known.frame_size + known.columns(name)
+                yield at, old, frame == source
+    before = {name: at for name, at in _places(known) if name in dict(known.once)}
+    for name, at in _places(contract):
+        if name in before and name in dict(contract.once):
+            yield at, before[name], True
+
+
+def _of_neutral_toes(network: _Network, known: PolicyContract) -> FloatArray:
+    """Return what the command of neutral toes adds to the first layer (out,)."""
+    first, _ = network.layers[0]
+    at = (np.arange(known.history)[:, None] * known.frame_size + known.columns("toe_command")).reshape(-1)
+    rest = np.tile(known.neutral_toes, known.history)
+    return first[:, at] @ ((rest - network.mean[at]) / network.scale[at]).astype(first.dtype)
+
+
 def _compare(name: str, there: PolicyContract, here: PolicyContract) -> None:
     """Refuse a policy whose numbers mean something else."""
     for field in MEANING:
-        old, new = getattr(there, field), getattr(here, field)
+        old = getattr(there, field)
+        new = getattr(here, field)
         if old != new:
             raise ConfigError(
                 f"{name} has {field} {old}; the settings have {new}, and the network would mean "

@@ -55,7 +55,9 @@ DRIVEN = ("dof_armature",)
 """… and what else, where a law drives the joints."""
 
 _KINDS = mujoco.mjtGeom
-BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), int(_KINDS.mjGEOM_CAPSULE)
+BOX = int(_KINDS.mjGEOM_BOX)
+CYLINDER = int(_KINDS.mjGEOM_CYLINDER)
+CAPSULE = int(_KINDS.mjGEOM_CAPSULE)
 
 QUIET_ROBOT = Randomisation(com=(-0.015, 0.015))
 """The robots of quiet worlds."""
@@ -63,9 +65,11 @@ QUIET_ROBOT = Randomisation(com=(-0.015, 0.015))
 LINE_SEARCHES = 20
 """Line-search iterations of the training physics; see MdpSettings.solver_iterations."""
 
-CONTACTS, SPARE_CONTACTS = 8, 64
-"""Most contacts of a world on average, since all worlds share one store, and room beyond that, which few worlds do not
-keep; robots that lie have 4."""
+CONTACTS = 8
+"""Most contacts of a world on average, since all worlds share one store; robots that lie have 4."""
+
+SPARE_CONTACTS = 64
+"""Room beyond that, which few worlds do not keep."""
 
 ROWS = 64
 """Most constraint rows of a world; the most seen with wild random actions is 60, lying 32."""
@@ -93,21 +97,15 @@ class Worlds:
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
         wp.config.log_level = wp.LOG_ERROR
         wp.init()
-        self.device, self._description = device, description
+        self.device = device
+        self._description = description
         self.decimation = description.decimation
         effects = read_standing(Path(settings.effects)) if settings.effects else None
-        n, count = settings.worlds, min(settings.worlds, VARIANTS)
+        n = settings.worlds
+        count = min(settings.worlds, VARIANTS)
         self.motors = None if effects is None else WorldMotors(description, effects, n, device, count, seed)
         """The law of the drives, where a calibration's effects take the place of the native motors."""
-        model = load_model(description, visuals=False, driven=effects is not None)
-        model.opt.timestep = description.timestep
-        if self.motors is not None:
-            model.dof_solref[6:] = [SOLREF_STEPS * description.timestep, 1.0]
-        model.opt.iterations = settings.solver_iterations
-        model.opt.ls_iterations = LINE_SEARCHES
-        self._friction_speed = settings.friction_speed if self.motors is None else 0.0
-        if self._friction_speed:
-            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+        model = self._training_model(settings)
         self.mj_model = model
         data = mujoco.MjData(model)
         data.qpos[:7] = 0.0, 0.0, description.pose_height["lie"], 1.0, 0.0, 0.0, 0.0
@@ -121,55 +119,87 @@ class Worlds:
             self.data = mjw.put_data(model, data, nworld=n, nconmax=contacts, njmax=ROWS)
             self._randomise(description, settings, count, seed, fields)
             self._own_damping = wp.clone(self.model.dof_damping)
-            self.qpos = wp.to_torch(self.data.qpos)
-            self.qvel = wp.to_torch(self.data.qvel)
-            self.warmstart = wp.to_torch(self.data.qacc_warmstart)
-            self.actuator_force = wp.to_torch(self.data.actuator_force)
-            self.site_xpos = wp.to_torch(self.data.site_xpos)
-            self.geom_xpos = wp.to_torch(self.data.geom_xpos)
-            self.geom_xmat = wp.to_torch(self.data.geom_xmat)
-            self.xipos = wp.to_torch(self.data.xipos)
-            self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
-            self._cvel = wp.to_torch(self.data.cvel)  # turning and velocity, at the centre of mass
-            self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
-            feet = np.zeros((2, model.ngeom), dtype=np.float32)
-            for side, leg in enumerate(LEGS[2:]):
-                feet[side, [model.geom(name).id for name in description.names.shapes("toe", "shank", legs=(leg,))]] = 1
-            self._feet = torch.as_tensor(feet, device=device)
-            c = self.data.contact
-            contacts = (self.data.nacon, c.geom, c.worldid, c.efc_address, self.data.efc.force)
-            self._contacts = tuple(wp.to_torch(array) for array in contacts)
-            gravity = abs(float(model.opt.gravity[2]))
-            self.weight = gravity * wp.to_torch(self.model.body_subtreemass)[:, model.body(BASE).id]
-            """Of each robot (N,) [N]."""
+            self._view()
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
         self._substep_ctrl: list[Any] = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
-        self._toe_sites = torch.tensor([model.site(name).id for name in TOES], device=device)
-        self._toe_bodies = torch.tensor([model.site(name).bodyid.item() for name in TOES], device=device)
+        self._find_shapes()
+        self._parts = self._step_parts()
+        """What a control step is made of; with effects the law and the physics take turns."""
+
+    def _training_model(self, settings: MdpSettings) -> mujoco.MjModel:
+        """Return the robot's model with the time step and the solver of the training."""
+        model = load_model(self._description, visuals=False, driven=self.motors is not None)
+        model.opt.timestep = self._description.timestep
+        if self.motors is not None:
+            model.dof_solref[6:] = [SOLREF_STEPS * self._description.timestep, 1.0]
+        model.opt.iterations = settings.solver_iterations
+        model.opt.ls_iterations = LINE_SEARCHES
+        self._friction_speed = settings.friction_speed if self.motors is None else 0.0
+        if self._friction_speed:
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+        return model
+
+    def _view(self) -> None:
+        """Keep tensors of what is read and written in every control step."""
+        model = self.mj_model
+        self.qpos = wp.to_torch(self.data.qpos)
+        self.qvel = wp.to_torch(self.data.qvel)
+        self.warmstart = wp.to_torch(self.data.qacc_warmstart)
+        self.actuator_force = wp.to_torch(self.data.actuator_force)
+        self.site_xpos = wp.to_torch(self.data.site_xpos)
+        self.geom_xpos = wp.to_torch(self.data.geom_xpos)
+        self.geom_xmat = wp.to_torch(self.data.geom_xmat)
+        self.xipos = wp.to_torch(self.data.xipos)
+        self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
+        self._cvel = wp.to_torch(self.data.cvel)  # turning and velocity, at the centre of mass
+        self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
+        c = self.data.contact
+        contacts = (self.data.nacon, c.geom, c.worldid, c.efc_address, self.data.efc.force)
+        self._contacts = tuple(wp.to_torch(array) for array in contacts)
+        gravity = abs(float(model.opt.gravity[2]))
+        self.weight = gravity * wp.to_torch(self.model.body_subtreemass)[:, model.body(BASE).id]
+        """Of each robot (N,) [N]."""
+
+    def _find_shapes(self) -> None:
+        """Keep which sites and collision shapes of the model are what."""
+        model = self.mj_model
+        feet = np.zeros((2, model.ngeom), dtype=np.float32)
+        for side, leg in enumerate(LEGS[2:]):
+            names = self._description.names.shapes("toe", "shank", legs=(leg,))
+            feet[side, [model.geom(name).id for name in names]] = 1
+        self._feet = torch.as_tensor(feet, device=self.device)
+        self._toe_sites = torch.tensor([model.site(name).id for name in TOES], device=self.device)
+        self._toe_bodies = torch.tensor([model.site(name).bodyid.item() for name in TOES], device=self.device)
         ids = [g for g in range(model.ngeom) if model.geom(g).name != FLOOR]
         self._shapes = [model.geom(g).name for g in ids]
-        self._geoms = torch.tensor(ids, device=device)
-        self._kinds = torch.tensor([int(model.geom_type[g]) for g in ids], device=device)
-        self._sizes = torch.tensor(model.geom_size[ids], dtype=torch.float32, device=device)
-        self._parts: list[Replayed | ReplayedWarp] = [ReplayedWarp(self._run, device)]
-        """What a control step is made of; with effects the law and the physics take turns."""
-        if self.motors is not None:
-            physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
-            drives = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
-            between = [part for drive in drives[:-1] for part in (drive, physics)]
-            self._parts = [*between, drives[-1], ReplayedWarp(self.see, device)]
+        self._geoms = torch.tensor(ids, device=self.device)
+        self._kinds = torch.tensor([int(model.geom_type[g]) for g in ids], device=self.device)
+        self._sizes = torch.tensor(model.geom_size[ids], dtype=torch.float32, device=self.device)
+
+    def _step_parts(self) -> list[Replayed | ReplayedWarp]:
+        if self.motors is None:
+            return [ReplayedWarp(self._run, self.device)]
+        physics = ReplayedWarp(partial(mjw.step, self.model, self.data), self.device)
+        drives = [Replayed(partial(self._drive, k), self.device) for k in range(self.decimation + 1)]
+        between = [part for drive in drives[:-1] for part in (drive, physics)]
+        return [*between, drives[-1], ReplayedWarp(self.see, self.device)]
 
     def _randomise(
         self, description: RobotDescription, settings: MdpSettings, count: int, seed: int, names: Sequence[str]
     ) -> None:
-        n, d = settings.worlds, settings.disturbances
+        n = settings.worlds
+        d = settings.disturbances
         rng, other = (np.random.default_rng([seed, stream]) for stream in (17, 18))
         calm = replace(UNDISTURBED, contact_time=d.contact_time, friction_ratio=d.friction_ratio)
         quiet = round(settings.quiet_share * count) if settings.task == "stand_track" else 0
         driven = self.motors is not None
         nominal, varied = (load_model(description, visuals=False, driven=driven) for _ in range(2))
         rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
-        features, slopes, variations, grounds, ratios = [], [], [], [], []
+        features = []
+        slopes = []
+        variations = []
+        grounds = []
+        ratios = []
         for i in range(count):
             d = calm if i < quiet else settings.disturbances
             ranges = QUIET_ROBOT if i < quiet else settings.randomisation
@@ -180,15 +210,19 @@ class Worlds:
             if self.motors is not None:
                 self.motors.write_static(varied, i)
             variations.append(v)
-            side, payload = int(other.integers(2)), other.uniform(*d.toe_payload)
+            side = int(other.integers(2))
+            payload = other.uniform(*d.toe_payload)
             carry(varied, f"{LEGS[side]}_knee", payload, description.leg.toe)
             ratios.append(math.exp(other.uniform(*np.log(d.friction_ratio))))
             grounds.append((v.restitution, other.uniform(*d.contact_time)))
-            angle, half = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope)) / 2
+            angle = other.uniform(-np.pi, np.pi)
+            half = np.deg2rad(other.uniform(*d.slope)) / 2
             slopes.append([np.cos(half), np.sin(half) * np.cos(angle), np.sin(half) * np.sin(angle), 0.0])
             for name in names:
                 rows[name].append(np.array(getattr(varied, name)))
-            kp, kd, rubs = v.kp.mean() - 1, v.kd.mean() - 1, 0.5 * v.dry_friction.mean()
+            kp = v.kp.mean() - 1
+            kd = v.kd.mean() - 1
+            rubs = 0.5 * v.dry_friction.mean()
             carried = [10 * payload * (side == k) for k in range(2)]
             features.append(
                 [v.ground_friction - 1.5, v.restitution, v.base_mass, kp, kd, *(10 * v.com), rubs, *carried]
@@ -198,7 +232,8 @@ class Worlds:
             tensor = wp.to_torch(getattr(self.model, name))
             tensor.copy_(torch.as_tensor(np.stack(values)[index], dtype=tensor.dtype).reshape(tensor.shape))
         if self.motors is not None:
-            m, d = self.model, self.data
+            m = self.model
+            d = self.data
             servo = Servo(
                 ctrl=wp.to_torch(d.ctrl),
                 applied=wp.to_torch(d.qfrc_applied)[:, 6:],
@@ -212,7 +247,8 @@ class Worlds:
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)
-        self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
+        self._grounds = grounds
+        self._ground_of = torch.as_tensor(index, device=self.device)
         self._ratio = torch.tensor(ratios, device=self.device)[self._ground_of]
         self._stiffer = torch.ones_like(self._ratio)
         self.model.opt.impratio_invsqrt = wp.from_torch(self._stiffer)
@@ -263,7 +299,8 @@ class Worlds:
 
     def lowest(self) -> torch.Tensor:
         """Return the height of the lowest point of each collision shape (worlds, shapes) [m]."""
-        up, size = self.geom_xmat[:, self._geoms, 2, :], self._sizes
+        up = self.geom_xmat[:, self._geoms, 2, :]
+        size = self._sizes
         box = (up.abs() * size).sum(-1)
         round_ = size[:, 1] * up[..., 2].abs() + size[:, 0] * torch.sqrt(torch.clamp(1 - up[..., 2] ** 2, min=0.0))
         capsule = size[:, 1] * up[..., 2].abs() + size[:, 0]
@@ -286,7 +323,8 @@ class Worlds:
     def load(self) -> torch.Tensor:
         """Return the share of its weight on each robot's left and right hind foot (N, 2), in the last physics step."""
         count, geom, world, row, force = self._contacts
-        row, world = row[:, 0], world.long().clamp(0, len(force) - 1)
+        row = row[:, 0]
+        world = world.long().clamp(0, len(force) - 1)
         counts = (torch.arange(len(row), device=self.device) < count) & (row >= 0) & (row < force.shape[1])
         normal = force[world, row.long().clamp(0, force.shape[1] - 1)] * counts  # of elliptic cones
         under = self._feet[:, geom.long().clamp(0, self._feet.shape[1] - 1)].amax(-1)
@@ -308,7 +346,8 @@ class Worlds:
 
     def _rub(self) -> None:
         """Set the damping of all joints so that it holds their dry friction."""
-        m, d = self.model, self.data
+        m = self.model
+        d = self.data
         inputs = [d.qvel, m.dof_frictionloss, self._own_damping, self._friction_speed]
         wp.launch(_smooth_friction, dim=d.qvel.shape, inputs=inputs, outputs=[m.dof_damping])
 
@@ -323,7 +362,8 @@ class Worlds:
     def _drive(self, substep: int) -> None:
         """Finish the physics step just made, and hand over the inputs of the next one, if there is one."""
         assert self.motors is not None
-        q, dq = self.qpos[:, 7:], self.qvel[:, 6:]
+        q = self.qpos[:, 7:]
+        dq = self.qvel[:, 6:]
         if substep > 0:
             self.motors.settle(dq)
         if substep < self.decimation:
