@@ -44,7 +44,9 @@ class Disturbances(Chance):
     def __init__(self, settings: MdpSettings, dt: float, device: str, quiet: torch.Tensor) -> None:
         """Take the settings; ``quiet`` (N,) is True for worlds in which nothing happens but small pushes and hands."""
         super().__init__(settings.worlds, device)
-        self._ranges, self._dt, self._quiet = settings.disturbances, dt, quiet
+        self._ranges = settings.disturbances
+        self._dt = dt
+        self._quiet = quiet
         self._leads = settings.disturbances.lead_share * (settings.task == "stand_track")
         most = settings.disturbances.imu_tilt[1]
         self._quiet_tilt = min(QUIET_TILT / most, 1.0) if most else 0.0
@@ -66,13 +68,20 @@ class Disturbances(Chance):
         """How the hand walks, world axes (N, 2) [m/s]."""
         self.pull = zeros(2, 3)
         """Force on each front toe now, world axes (N, 2, 3) [N]."""
-        self.held, self.came = zeros(dtype=torch.bool), zeros(dtype=torch.bool)
-        """True while the hand holds the toe, and from then to the end of the episode (N,)."""
+        self.held = zeros(dtype=torch.bool)
+        """True while the hand holds the toe (N,)."""
+        self.came = zeros(dtype=torch.bool)
+        """True from then to the end of the episode (N,)."""
         self.behind = zeros()
         """How far the toe is from the hand (N,) [m]."""
         self._pitch_axis = torch.tensor([0.0, 1.0, 0.0], device=device)
-        self._angle, self._way, self._ramp = zeros(), zeros(), zeros()
-        self._most, self._hand, self._from, self._seconds = zeros(), zeros(2), zeros(), zeros()
+        self._angle = zeros()
+        self._way = zeros()
+        self._ramp = zeros()
+        self._most = zeros()
+        self._hand = zeros(2)
+        self._from = zeros()
+        self._seconds = zeros()
         self._grown = torch.ones((), device=device)
 
     def set_share(self, share: float) -> None:

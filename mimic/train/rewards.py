@@ -1,7 +1,10 @@
-"""Shapes of the reward terms of the motion-conditioned MDP, one value a world (N,).
+"""The reward terms of stand_track, a function each, one value a world (N,).
 
 They follow the paper's intent (tracking scaled by standing, gait and slip terms) in forms that train in minutes:
-bells instead of gates, so that a robot lying on the ground already feels which way is up.
+bells instead of gates, so that a robot lying on the ground already feels which way is up. The paper's own forms are in
+`mimic.evaluation.paper_reward`, the weights in `mimic.config.rewards`. Sources: Li et al. 2024 (the paper); Rudin et
+al. 2022, "Learning to walk in minutes using massively parallel deep reinforcement learning" (legged_gym); where none
+is named, the term was made here.
 """
 
 from __future__ import annotations
@@ -10,44 +13,138 @@ import math
 
 import torch
 
-from mimic.config.rewards import REGULARISERS
 from mimic.geometry import smoothstep
-from mimic.robot.description import RobotDescription
+from mimic.robot.parts import TrainingNumbers
 
-REWARD_SCALE = 0.008
-"""Factor on all rewards. Returns are then of the order of ten, which the critic can follow. Unscaled they were 300,
-with PPO's limit of 0.2 on the change of a value in an update, and the critic was wrong by 20 to 27 throughout."""
+HEIGHT_WIDTH = 0.1
+"""Width of the bell of `height` [m]."""
 
-REGULARISATION, RAMP_STEPS = 2.0, 12_000
-"""Factor on the weights of REGULARISERS at the end of a ramp of so many control steps of a world."""
+LEAN_WIDTH = 0.4
+"""Width of the bell of `upright` while rising [rad]."""
+
+VELOCITY_BELLS = ((0.2, 0.15), (0.2, 0.02), (0.25, 0.004))
+"""Height and squared width [m^2/s^2] of each bell over the averaged velocity; the wide one is felt while the robot does
+not walk at all."""
+
+STEP_BELL = (0.35, 0.05)
+"""The same over the velocity of now."""
+
+TURN_BELLS = ((0.35, 0.5), (0.35, 0.03))
+"""Height and squared width [rad^2] of each bell over the heading error."""
+
+TURN_COSINE = 0.15
+"""Height of the cosine below them, which is felt at any error."""
 
 SWING_SHARE = 0.7
 """Share of half a gait cycle in which a foot swings; in the rest both stand."""
 
+LEAVING = 0.15
+"""What a swinging foot earns by leaving the ground, or no foot is ever lifted."""
+
+TOO_HIGH = 0.03
+"""Width of the bell over a clearance beyond what is wanted and `FREE_CLEARANCE` [m]."""
+
+FREE_CLEARANCE = 0.01
+"""[m]"""
+
+BEARS = 0.2
+"""A foot is planted that bears this share of the robot's weight."""
+
 FASTEST = 4.0
-"""More than this squared speed of one toe is not counted [m^2/s^2]."""
+"""More than this squared speed of one toe is not counted in `slip` [m^2/s^2]."""
+
+SLIP_HEIGHT = 0.033
+"""A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
+
+LIFTED = 0.01
+"""A toe above this is in the air in `flight` [m]."""
+
+LOW = 0.03
+"""A shape under this is near the ground in `low` [m]."""
+
+MOST_HEAT = 2.0
+"""More is not counted in `heat`, since standing up and catching a push need it."""
+
+MOST_UNREST = 6.0
+"""More is not counted in `unrest` [(unit of action)^2], for the same reason."""
+
+MOST_DRIFT = 0.3
+"""More is not counted in `drift` [m], for the same reason."""
+
+MOST_SHUFFLE = 0.3
+"""More speed of a toe is not counted in `shuffle` [m/s], for the same reason."""
 
 
-def rising_terms(
-    height: torch.Tensor, up: torch.Tensor, rising: torch.Tensor, description: RobotDescription
-) -> dict[str, torch.Tensor]:
-    """Return what height and lean of the trunk earn (N,).
+def bells(square: torch.Tensor, *shapes: tuple[float, float]) -> torch.Tensor:
+    """Return the sum of bells over a squared error (N,), each of a height and a squared width."""
+    return torch.stack([height * torch.exp(-square / width) for height, width in shapes]).sum(0)
+
+
+def alive(worlds: torch.Tensor) -> torch.Tensor:
+    """Return 1 in each control step, for worlds (N,)."""
+    return torch.ones_like(worlds)
+
+
+def height(base: torch.Tensor, rising: torch.Tensor, numbers: TrainingNumbers) -> torch.Tensor:
+    """Return exp(-(error / HEIGHT_WIDTH)^2), 0 to 1; above the full height nothing is an error.
 
     Args:
-        height: Of the base (N,) [m].
-        up: Cosine between base x and the wanted upright direction (N,).
-        rising: How far the stand-up should be, 0 lying to 1 upright (N,).
-        description: Of the robot.
+        base: Height of the base (N,) [m].
+        rising: How far the stand-up should be, 0 lying to 1 upright (N,); the wanted height follows it smoothly.
+        numbers: Heights at both ends.
     """
-    numbers = description.training
-    lying_angle = math.asin(float(description.upright_direction[2]))  # between base x, level, and the upright direction
-    angle = torch.acos(torch.clamp(up, -1.0, 1.0))
-    smooth = smoothstep(rising)
-    over = height - (numbers.rise_from + (numbers.rise_to - numbers.rise_from) * smooth)
+    over = base - (numbers.rise_from + (numbers.rise_to - numbers.rise_from) * smoothstep(rising))
     over = torch.where((rising >= 1) & (over > 0), torch.zeros_like(over), over)
-    lean = angle - lying_angle * (1 - smooth)
-    level = torch.where(rising >= 1, ((1 + up) / 2).square(), torch.exp(-((lean / 0.4) ** 2)))
-    return {"height": torch.exp(-((over / 0.1) ** 2)), "upright": level}
+    return torch.exp(-((over / HEIGHT_WIDTH) ** 2))
+
+
+def upright(up: torch.Tensor, rising: torch.Tensor, lying_angle: float) -> torch.Tensor:
+    """Return exp(-(error / LEAN_WIDTH)^2) of the trunk's angle while rising, then the paper's ((1 + up) / 2)^2; 0 to 1.
+
+    Args:
+        up: Cosine between base x and the wanted upright direction (N,).
+        rising: How far the stand-up should be, 0 lying to 1 upright (N,); the wanted angle follows it smoothly.
+        lying_angle: Between them where the robot lies [rad].
+    """
+    angle = torch.acos(torch.clamp(up, -1.0, 1.0))
+    lean = angle - lying_angle * (1 - smoothstep(rising))
+    return torch.where(rising >= 1, ((1 + up) / 2).square(), torch.exp(-((lean / LEAN_WIDTH) ** 2)))
+
+
+def velocity(mean: torch.Tensor, now: torch.Tensor, standing: torch.Tensor) -> torch.Tensor:
+    """Return VELOCITY_BELLS over the averaged error and STEP_BELL over that of now, where the robot stands; 0 to 1.
+
+    Source: the paper has one bell, over the error of now.
+
+    Args:
+        mean: Error of the averaged base velocity, heading frame (N, 2) [m/s].
+        now: Error of the base velocity (N, 2) [m/s].
+        standing: 0 lying to 1 standing (N,).
+    """
+    averaged = bells(mean.square().sum(-1), *VELOCITY_BELLS)
+    return (averaged + bells(now.square().sum(-1), STEP_BELL)) * standing
+
+
+def heading(turn: torch.Tensor, standing: torch.Tensor) -> torch.Tensor:
+    """Return TURN_COSINE (1 + cos error) + TURN_BELLS over the error (N,) [rad], where the robot stands; 0 to 1.
+
+    Source: the paper has one bell.
+    """
+    square = turn.square()
+    wide, narrow = TURN_BELLS
+    return (TURN_COSINE * (1 + torch.cos(turn)) + bells(square, wide) + bells(square, narrow)) * standing
+
+
+def gait(stepping: torch.Tensor, planted: torch.Tensor, asked: torch.Tensor, standing: torch.Tensor) -> torch.Tensor:
+    """Return the mean of both hind feet where the robot stands: `stepping` if asked to step, else planted; 0 to 1.
+
+    Args:
+        stepping: What each foot earns by stepping (N, 2).
+        planted: 1 where both feet bear weight (N, 1).
+        asked: 1 where the robot is asked to step (N, 1).
+        standing: 0 lying to 1 standing (N,).
+    """
+    return (asked * stepping + (1 - asked) * planted).mean(-1) * standing
 
 
 def stepping(phase: torch.Tensor, clearance: torch.Tensor, planted: torch.Tensor, swing_height: float) -> torch.Tensor:
@@ -63,31 +160,96 @@ def stepping(phase: torch.Tensor, clearance: torch.Tensor, planted: torch.Tensor
     both = math.sin(0.5 * math.pi * (1 - SWING_SHARE))  # below this sine both feet stand
     swing = (torch.stack([sine, -sine], -1) - both) / (1 - both)
     wanted = swing_height * torch.clamp(2 * swing, min=0.0, max=1.0)
-    too_high = torch.clamp(clearance - wanted - 0.01, min=0.0) / 0.03
+    too_high = torch.clamp(clearance - wanted - FREE_CLEARANCE, min=0.0) / TOO_HIGH
     lifted = torch.clamp(clearance / wanted.clamp(min=0.01), 0, 1) * torch.exp(-too_high.square())
-    lifted = (0.15 + 0.85 * lifted) * (1 - planted)  # leaving the ground pays by itself, or no foot is ever lifted
+    lifted = (LEAVING + (1 - LEAVING) * lifted) * (1 - planted)
     return torch.where(swing > 0, lifted, planted)
 
 
-def sliding(height: torch.Tensor, velocity: torch.Tensor, turning: torch.Tensor, below: float) -> torch.Tensor:
-    """Return the paper's slip (N,): squared speed and turning over pi of each toe whose centre is low.
+def both_planted(load: torch.Tensor) -> torch.Tensor:
+    """Return the smaller load over BEARS, at most 1 (N, 1), from the share of weight on each hind foot (N, 2)."""
+    return (load.amin(-1, keepdim=True) / BEARS).clamp(0.0, 1.0)
+
+
+def drift(way: torch.Tensor, tracking: torch.Tensor) -> torch.Tensor:
+    """Return the distance from the rest position (N,) [m], up to MOST_DRIFT, where the robot tracks (N,)."""
+    return way.clamp(max=MOST_DRIFT) * tracking
+
+
+def slip(height: torch.Tensor, velocity: torch.Tensor, turning: torch.Tensor, below: float) -> torch.Tensor:
+    """Return the sum over low toes of |velocity|^2 + (turning / pi)^2, each up to FASTEST [m^2/s^2]. Source: the paper.
 
     Args:
         height: Of the toes' centres above the ground (N, 4) [m].
         velocity: Horizontal (N, 4, 2) [m/s].
         turning: Of the lower legs about the vertical (N, 4) [rad/s].
-        below: Height under which a toe counts [m]; paper: 0.03.
+        below: Height under which a toe counts [m].
     """
     square = velocity.square().sum(-1) + (turning / math.pi).square()
     return (square.clamp(max=FASTEST) * (height < below)).sum(-1)
 
 
-def bells(square: torch.Tensor, *shapes: tuple[float, float]) -> torch.Tensor:
-    """Return the sum of bells over a squared error (N,), each of a height and a squared width."""
-    return torch.stack([height * torch.exp(-square / width) for height, width in shapes]).sum(0)
+def foot_shift(way: torch.Tensor, early: torch.Tensor) -> torch.Tensor:
+    """Return the mean length of the ways of the hind toes (N, 2, 3) [m] while standing up (N,)."""
+    return way.norm(dim=-1).mean(-1) * early
 
 
-def grown(weights: dict[str, float], steps: int) -> dict[str, float]:
-    """Return the weights after so many control steps of a world, in which the REGULARISERS grow."""
-    factor = 1 + (REGULARISATION - 1) * min(1.0, steps / RAMP_STEPS)
-    return {name: value * (factor if name in REGULARISERS else 1.0) for name, value in weights.items()}
+def flight(clearance: torch.Tensor) -> torch.Tensor:
+    """Return 1 where both hind toes (N, 2) [m] are above LIFTED."""
+    return (clearance.amin(-1) > LIFTED).float()
+
+
+def low(shapes: torch.Tensor) -> torch.Tensor:
+    """Return how many of the front legs' shapes and hind knees (N, shapes) [m] are below LOW."""
+    return (shapes < LOW).float().sum(-1)
+
+
+def action_rate(change: torch.Tensor) -> torch.Tensor:
+    """Return the sum of squared changes of the action (N, 12) [(unit of action)^2]. Source: legged_gym."""
+    return change.square().sum(-1)
+
+
+def unrest(change: torch.Tensor, resting: torch.Tensor) -> torch.Tensor:
+    """Return the same of the hind legs (N, 6), up to MOST_UNREST, where the robot should rest (N,)."""
+    return change.square().sum(-1).clamp(max=MOST_UNREST) * resting
+
+
+def shuffle(speed: torch.Tensor, contact: torch.Tensor, resting: torch.Tensor) -> torch.Tensor:
+    """Return the mean speed of the hind toes (N, 2) on the ground [m/s], up to MOST_SHUFFLE, while resting (N,)."""
+    return (speed.clamp(max=MOST_SHUFFLE) * contact).mean(-1) * resting
+
+
+def torque(shares: torch.Tensor) -> torch.Tensor:
+    """Return the sum of squared torques, each as a share of its motor's largest (N, 12). Source: legged_gym, in N m."""
+    return shares.square().sum(-1)
+
+
+def heat(torque: torch.Tensor) -> torch.Tensor:
+    """Return `torque` (N,) up to MOST_HEAT: it heats the windings."""
+    return torque.clamp(max=MOST_HEAT)
+
+
+def overload(shares: torch.Tensor) -> torch.Tensor:
+    """Return the sum of squared torques beyond the rated ones, as shares of the motors' largest (N, 12)."""
+    return shares.square().sum(-1)
+
+
+def joint_velocity(dq: torch.Tensor) -> torch.Tensor:
+    """Return the sum of squared joint velocities (N, 12) [rad^2/s^2]. Source: legged_gym."""
+    return dq.square().sum(-1)
+
+
+def joint_speed(dq: torch.Tensor, limit: float) -> torch.Tensor:
+    """Return the sum of joint speeds (N, 12) beyond a limit [rad/s]. Source: legged_gym."""
+    return torch.clamp(dq.abs() - limit, min=0.0).sum(-1)
+
+
+def joint_acceleration(ddq: torch.Tensor) -> torch.Tensor:
+    """Return the sum of squared joint accelerations (N, 12) [rad^2/s^4]. Source: legged_gym."""
+    return ddq.square().sum(-1)
+
+
+def limits(q: torch.Tensor, low: torch.Tensor, high: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+    """Return how far joint positions (N, 12) are beyond low and high (12,) [rad], of own joints. Source: legged_gym."""
+    excess = torch.clamp(low - q, min=0.0) + torch.clamp(q - high, min=0.0)
+    return (own * excess).sum(-1)

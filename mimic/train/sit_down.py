@@ -11,7 +11,6 @@ from mimic.geometry import smoothstep, up_cosine
 from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import MARGIN
-from mimic.train.rewards import grown
 from mimic.train.stand_track import Judged, StandTrackEnv, mean
 from mimic.train.starts import SitDownStarts, Start
 from mimic.train.tensors import put
@@ -49,33 +48,6 @@ ON_ITS_BACK = -0.6
 ON_ITS_SIDE = 0.85
 """An episode fails where the base's y axis points more up or down than this (cosine)."""
 
-WEIGHTS = {
-    "height": 1.6,
-    "level": 0.8,
-    "roll": -1.0,
-    "pose": 2.0,
-    "pose_fine": 1.0,
-    "still": 0.6,
-    "sinking": -15.0,  # per m^2/s^2
-    "fast": -2.0,  # per m^2/s^2
-    "tumbling": -0.05,  # per rad^2/s^2
-    "jolt": -2.0,  # per 20 m/s^2
-    "landing": -5.0,  # per m^2/s^2
-    "trunk": -1.0,  # per m/s, and 0.3 for the touch
-    "thighs": -0.2,  # each
-    "head_low": -4.0,
-    "slip": -0.25,  # per m/s
-    "beyond": -1.0,  # per rad^2
-    "action_rate": -0.008,  # per (unit of action)^2
-    "torque": -0.03,  # each as a share of its motor's largest
-    "joint_velocity": -4e-4,  # per rad^2/s^2
-    "joint_speed": -0.02,  # per rad/s
-    "joint_acceleration": -1e-7,  # per rad^2/s^4
-    "limits": -2.0,  # per rad
-    "fail": -10.0,
-}
-"""Weight of each reward term; one without a unit lies between 0 and 1."""
-
 
 class SitDownEnv(StandTrackEnv):
     """Worlds in which an upright robot lowers itself to lie on its four feet; nothing else is asked of it."""
@@ -105,9 +77,6 @@ class SitDownEnv(StandTrackEnv):
         self._front_before = self._zeros(2, 3)
         self._clearance_before = self._zeros(len(self._landing))
 
-    def _weights_now(self) -> dict[str, float]:
-        return grown(WEIGHTS, self._calls)
-
     def _set_difficulty(self) -> None:
         """Everything from the beginning: this task begins where the other one ends."""
 
@@ -123,7 +92,7 @@ class SitDownEnv(StandTrackEnv):
     def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
         w = self.worlds
         dt = self.contract.dt
-        _, contact, hind_speed, _ = self._feet_now(low)
+        toes = self._toes_now(low)
         progress = torch.clamp(self.episode_length_buf * (dt / SECONDS), max=1.0)
         there = (progress >= 1).float()
         smooth = smoothstep(progress)
@@ -172,7 +141,7 @@ class SitDownEnv(StandTrackEnv):
             "trunk": trunk.float() * (0.3 + speed.clamp(max=3.0)),
             "thighs": (low[:, self._thighs] < 0.002).float().sum(-1),
             "head_low": torch.clamp((HEAD_ROOM - head) / HEAD_ROOM, 0.0, 1.0),
-            "slip": (hind_speed.clamp(max=2.0) * contact).sum(-1) + front_slip.clamp(max=2.0).sum(-1),
+            "slip": (toes.speed.clamp(max=2.0) * toes.contact).sum(-1) + front_slip.clamp(max=2.0).sum(-1),
             "beyond": beyond.square().sum(-1),
             "fail": failed.float(),
         }

@@ -7,15 +7,13 @@ two captured graphs: the physics (`mimic.train.worlds`) and the rest (here).
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
-from mimic.config.rewards import REFINING_TERMS, RESTING_TERMS
 from mimic.config.training import MdpSettings
 from mimic.dynamics.cuda_graphs import Replayed
 from mimic.dynamics.robot_model import command_in_effect
@@ -39,12 +37,14 @@ from mimic.robot.arm_torques import ArmTorques
 from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN
 from mimic.robot.leg_kinematics import front_toes
+from mimic.train import rewards
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
 from mimic.train.disturbances import Disturbances
-from mimic.train.rewards import REWARD_SCALE, bells, grown, rising_terms, sliding, stepping
+from mimic.train.rewards import BEARS
 from mimic.train.schedules import ArmSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.tensors import Chance, in_heading_frame, put, quat_multiply, quat_rotate
+from mimic.train.weights import REWARD_SCALE, passed, weights_at
 from mimic.train.worlds import Worlds
 
 CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1
@@ -63,21 +63,8 @@ GRACE_STEPS = 30
 """Control steps in which a rising robot may touch the ground, but not lift a hind toe high or move a joint fast; as in
 the paper, whose limits are 0.06 m and 0.3 rad (the description's are lower)."""
 
-REFINING_SHARE = 0.05
-"""Share of their weight that the REFINING_TERMS have at first; it grows to 1."""
-
-SLIP_HEIGHT = 0.033
-"""A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
-
 CAPTURE_REACH = 0.05
 """How far a capture point that has left the feet is before or behind the line between them [m]."""
-
-MOST_HEAT, MOST_UNREST, MOST_DRIFT, MOST_SHUFFLE = 2.0, 6.0, 0.3, 0.3
-"""More is not counted, since standing up and catching a push need it: sums of squared shares of the torque and of
-squared changes of the action, drift [m], and speed of a hind toe on the ground [m/s]."""
-
-BEARS = 0.2
-"""A foot is planted that bears this share of the robot's weight."""
 
 
 def kept_tensors(value: Any) -> dict[Any, torch.Tensor]:
@@ -96,6 +83,19 @@ def mean(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     return (values * weights).sum() / weights.sum().clamp(min=1.0)
 
 
+class HindToes(NamedTuple):
+    """How the hind toes are and move."""
+
+    clearance: torch.Tensor
+    """Height above the ground (N, 2) [m]."""
+    contact: torch.Tensor
+    """1 on the ground (N, 2)."""
+    speed: torch.Tensor
+    """Horizontal (N, 2) [m/s]."""
+    slip: torch.Tensor
+    """Of all toes (N,), see `mimic.train.rewards.slip`."""
+
+
 class StandTrackEnv(VecEnv, Chance):
     """Worlds, as rsl_rl steps them, in which a robot stands up, walks and turns as asked while its arms move."""
 
@@ -104,8 +104,10 @@ class StandTrackEnv(VecEnv, Chance):
 
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
         description = with_timestep(description, settings.timestep or description.timestep)
-        self.description, self.settings = description, settings
-        self._calls, self._ramp = 0, 0.0
+        self.description = description
+        self.settings = settings
+        self._calls = 0
+        self._ramp = 0.0
         self.contract = make_contract(description, settings)
         self.device = device
         Chance.__init__(self, settings.worlds, device)
@@ -123,24 +125,32 @@ class StandTrackEnv(VecEnv, Chance):
         self.disturbances = Disturbances(settings, description.dt, device, self.worlds.quiet)
         self._constants()
         self._buffers()
-        self._before, self._after = Replayed(self._before_physics, device), Replayed(self._after_physics, device)
+        self._before = Replayed(self._before_physics, device)
+        self._after = Replayed(self._after_physics, device)
         everyone = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._reset(everyone)
         self.episode_length_buf.copy_(torch.randint(0, settings.episode_steps // 2, (self.num_envs,), device=device))
         self._observe(everyone, self.worlds.lowest())
 
     def _constants(self) -> None:
-        d, c = self.description, self.contract
+        d = self.description
+        c = self.contract
         self._default_q = self._tensor(c.default_q)
-        self._kp, self._kd = self._tensor(c.kp[:FRONT]), self._tensor(c.kd[:FRONT])
-        self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
-        self._near_min, self._near_max = self._tensor(d.q_min + MARGIN), self._tensor(d.q_max - MARGIN)
+        self._kp = self._tensor(c.kp[:FRONT])
+        self._kd = self._tensor(c.kd[:FRONT])
+        self._q_min = self._tensor(c.q_min)
+        self._q_max = self._tensor(c.q_max)
+        self._near_min = self._tensor(d.q_min + MARGIN)
+        self._near_max = self._tensor(d.q_max - MARGIN)
         self._soft_min = self._tensor(d.q_min + self.soft_margin)
-        self._soft_max, self._rated = self._tensor(d.q_max - self.soft_margin), self._tensor(d.torque_rated)
+        self._soft_max = self._tensor(d.q_max - self.soft_margin)
+        self._rated = self._tensor(d.torque_rated)
         self._peak = self._tensor(d.torque_max)
         self._upright = tuple(d.upright_direction.tolist())
+        self._lying_angle = math.asin(self._upright[2])  # between base x, level, and the upright direction
         w = self.worlds
-        front, hind = LEGS[:2], LEGS[2:]
+        front = LEGS[:2]
+        hind = LEGS[2:]
         self._grounding = torch.cat(
             [
                 w.columns("thigh", "shank", "knee", "toe", legs=front),
@@ -160,32 +170,48 @@ class StandTrackEnv(VecEnv, Chance):
         self._averaged = torch.as_tensor(c.columns(*AVERAGED), device=self.device)
 
     def _buffers(self) -> None:
-        n, device, zeros = self.num_envs, self.device, self._zeros
+        n = self.num_envs
+        device = self.device
+        zeros = self._zeros
         self.episode_length_buf = zeros(dtype=torch.long)
         self._actions = zeros(12)
-        self._last_action, self._before_last = zeros(12), zeros(12)
+        self._last_action = zeros(12)
+        self._before_last = zeros(12)
         self._commands = [zeros(12) for _ in range(4)]
         self._delay = zeros(1, dtype=torch.long)
         self._history = zeros(self.settings.history, self.contract.frame_size)
-        self.phase_at_start, self._gait, self._noise = zeros(), zeros(), zeros()
-        self._upright_start, self._heading = zeros(dtype=torch.bool), zeros()
-        self._toes_at_start, self._dq_before, self._q_before = zeros(2, 3), zeros(12), zeros(12)
+        self.phase_at_start = zeros()
+        self._gait = zeros()
+        self._noise = zeros()
+        self._upright_start = zeros(dtype=torch.bool)
+        self._heading = zeros()
+        self._toes_at_start = zeros(2, 3)
+        self._dq_before = zeros(12)
+        self._q_before = zeros(12)
         self._termination_share = torch.zeros(1, device=device)
         seen = self.contract.observation_size
-        self._policy_obs, self._critic_obs = zeros(seen), zeros(seen + CRITIC_EXTRAS)
-        self._own, self._known = zeros(12) + 1.0, zeros()
-        self._reward, self._load = zeros(), zeros(2)
-        self._done, self._time_out = zeros(dtype=torch.bool), zeros(dtype=torch.bool)
-        self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
+        self._policy_obs = zeros(seen)
+        self._critic_obs = zeros(seen + CRITIC_EXTRAS)
+        self._own = zeros(12) + 1.0
+        self._known = zeros()
+        self._reward = zeros()
+        self._load = zeros(2)
+        self._done = zeros(dtype=torch.bool)
+        self._time_out = zeros(dtype=torch.bool)
+        self._mean_velocity = zeros(2)
+        self._anchor = zeros(2)
+        self._slow = zeros(len(self._averaged))
         self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
         self._rest_share = torch.full((1,), self._passed(self.settings.rest_steps), device=device)
         weights = self._weights_now()
-        self._rewarded, self._weights = list(weights), torch.tensor(list(weights.values()), device=device)
+        self._rewarded = list(weights)
+        self._weights = torch.tensor(list(weights.values()), device=device)
         self._log: dict[str, torch.Tensor] = {}
 
     def resume_at(self, steps: int) -> None:
         """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
-        self._calls, begin = 240 * (steps // 240), self.settings.curriculum_latest
+        self._calls = 240 * (steps // 240)
+        begin = self.settings.curriculum_latest
         self._ramp = self._passed((begin, begin + self.settings.curriculum_steps))
 
     def progress(self) -> dict[str, Any]:
@@ -194,7 +220,8 @@ class StandTrackEnv(VecEnv, Chance):
 
     def resume(self, progress: dict[str, Any]) -> None:
         """Go on with a curriculum, with worlds that begin anew."""
-        self._calls, self._ramp = 240 * (progress["calls"] // 240), progress["ramp"]
+        self._calls = 240 * (progress["calls"] // 240)
+        self._ramp = progress["ramp"]
         if progress["log"]:
             self._log_values = torch.tensor(list(progress["log"].values()), device=self.device)
             self._log = dict(zip(progress["log"], self._log_values.unbind(), strict=True))
@@ -271,7 +298,8 @@ class StandTrackEnv(VecEnv, Chance):
         if self._drives_arms:
             driven = torch.cat([self._arm_targets(), asked[:, FRONT:]], -1)
             asked = torch.where(self._own > 0.0, asked, driven)
-        arrives, motors = self.disturbances.arrives(), self.worlds.motors
+        arrives = self.disturbances.arrives()
+        motors = self.worlds.motors
         if motors is not None:
             arrives = arrives & motors.arrives()
         newest.copy_(torch.where(arrives, asked, before))
@@ -280,13 +308,15 @@ class StandTrackEnv(VecEnv, Chance):
             motors.time.copy_(self.episode_length_buf[:, None] * c.dt)
             motors.send(newest, self._delay)
             return
-        ages, n = (newest, before, before_that, torch.where, [oldest]), self.worlds.decimation
+        ages = (newest, before, before_that, torch.where, [oldest])
+        n = self.worlds.decimation
         for k in range(n):
             self.worlds.substep_ctrl[k].copy_(command_in_effect(k, n, self._delay, *ages, interpolate=True))
 
     def _arm_targets(self) -> torch.Tensor:
         """Return the position targets of the front legs (N, 6) [rad]; see mimic.control.arms."""
-        w, arms = self.worlds, self.arms
+        w = self.worlds
+        arms = self.arms
         q, dq, ddq = (value[:, 0] for value in (arms.q, arms.dq, arms.ddq))
         tau = self._arm_torques.of(q, dq, ddq, quat_multiply(w.slope_quat, w.qpos[:, 3:7]))
         peak = self._peak[:FRONT]
@@ -295,7 +325,8 @@ class StandTrackEnv(VecEnv, Chance):
     def _pull(self) -> None:
         """Drag the front toes: a force at a toe is that force at the lower leg's centre of mass, and its moment."""
         w = self.worlds
-        toes, force = w.toes[:, :2], self.disturbances.pull
+        toes = w.toes[:, :2]
+        force = self.disturbances.pull
         self.disturbances.advance(self.episode_length_buf, toes, self._heading)
         moment = torch.linalg.cross(toes - w.xipos[:, self._front_knees], force)
         w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
@@ -352,22 +383,15 @@ class StandTrackEnv(VecEnv, Chance):
         self._observe(self._done, low)
 
     def _weights_now(self) -> dict[str, float]:
-        """Return the weight of each reward term by now."""
-        s, finished = self.settings, self._passed(self.settings.finish_steps)
-        factors: dict[str, float] = dict.fromkeys(REFINING_TERMS, REFINING_SHARE + (1 - REFINING_SHARE) * self._ramp)
-        factors |= dict.fromkeys(RESTING_TERMS, self._passed(s.rest_steps))
-        for name, factor in asdict(s.finish).items():
-            factors[name] = factors.get(name, 1.0) * (1 + (factor - 1) * finished)
-        return {name: w * factors.get(name, 1.0) for name, w in grown(asdict(s.rewards), self._calls).items()}
+        return weights_at(self.settings, self._calls, self._ramp)
 
     def _passed(self, steps: tuple[float, float]) -> float:
-        """Return the share of the time between two numbers of control steps that has passed."""
-        begin, end = steps
-        return min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
+        return passed(self._calls, steps)
 
     def _set_difficulty(self) -> None:
         """Set what grows as the robot learns to stand, and how far it has grown: ``_ramp``, 0 to 1."""
-        s, rests = self.settings, self._passed(self.settings.rest_steps)
+        s = self.settings
+        rests = self._passed(self.settings.rest_steps)
         ends = float(self._log["all/ends"]) if self._log else 1.0  # waits for the device
         if self._calls and (ends < s.curriculum_ends or self._calls > s.curriculum_latest):
             self._ramp = min(self._ramp + 240 / s.curriculum_steps, 1.0)
@@ -388,69 +412,84 @@ class StandTrackEnv(VecEnv, Chance):
 
     def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
         """Return the reward terms, which worlds failed (N,), and figures for the log."""
-        w, d, numbers = self.worlds, self.disturbances, self.description.training
-        tracking = self._tracking()
-        height, hind = w.qpos[:, 2], w.toes[:, 2:]
+        w = self.worlds
+        numbers = self.description.training
+        height = w.qpos[:, 2]
+        hind = w.toes[:, 2:]
         rising = torch.clamp(self.episode_length_buf * self.contract.dt / RISE_SECONDS, max=1.0)
         rising = torch.where(self._upright_start, torch.ones_like(rising), rising)
         standing = torch.clamp((height - numbers.height_low) / numbers.height_span, 0, 1)
         standing = standing * torch.clamp(self._up, 0, 1) * rising
-        ended, met = self._terminations(low, hind, tracking)
-        ended, tracking = finite & ended, tracking.float()
+        ended, met = self._terminations(low, hind, self._tracking())
+        ended = finite & ended
+        tracking = self._tracking().float()
         toppling = self._toppling(hind) & ~w.quiet  # quiet ones are hardly pushed
         settled = self._settled.float()
         asked = (self._gait * (1 - settled))[:, None]  # or a robot turns away, so that its clock starts
         # by the command, or a robot that turns away a little would be asked to step, and need not rest
         resting = torch.maximum(1 - self._gait, settled) * rising.ge(1) * ~toppling
 
-        clearance, contact, hind_speed, slip = self._feet_now(low)
-        both_planted = (self._load.amin(-1, keepdim=True) / BEARS).clamp(0.0, 1.0)
+        toes = self._toes_now(low)
+        stepping = rewards.stepping(self._phase(), toes.clearance, toes.contact, self.settings.swing_height)
         # a step that catches a fall is no fault
-        standing_still = torch.maximum(both_planted, toppling[:, None].float())
-        steps = stepping(self._phase(), clearance, contact, self.settings.swing_height)
-        steps = asked * steps + (1 - asked) * standing_still
+        planted = torch.maximum(rewards.both_planted(self._load), toppling[:, None].float())
         sway = self._mean_velocity - self.moves.wanted
-        # the wide bell is felt while the robot does not walk at all
-        speed = bells(sway.square().sum(-1), (0.2, 0.15), (0.2, 0.02), (0.25, 0.004))
-        speed = speed + bells((self._velocity() - self.moves.wanted).square().sum(-1), (0.35, 0.05))
         turn = heading_error(self._quat_WB, self.moves.heading, torch)
-        turning = 0.15 * (1 + torch.cos(turn)) + bells(turn.square(), (0.35, 0.5)) + bells(turn.square(), (0.35, 0.03))
-        toes = front_toes(w.qpos[:, 7:], self.description, torch)
-        off = toes - front_toes(self.arms.q[:, 1], self.description, torch)
         drift = (w.qpos[:, :2] - self._anchor).norm(dim=-1)
-        efforts, change = self._efforts(), (self._last_action - self._before_last)[:, 6:]
+        change = (self._last_action - self._before_last)[:, 6:]
         overload = self._own * torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak
-        terms = efforts | rising_terms(height, self._up, rising, self.description)
+        terms = self._efforts()
         terms |= {
-            "alive": torch.ones_like(height),
-            "velocity": speed * standing,
-            "heading": turning * standing,
-            "gait": steps.mean(-1) * standing,
-            "drift": drift.clamp(max=MOST_DRIFT) * tracking,
-            "slip": slip,
-            "foot_shift": self._foot_shift(hind),
+            "alive": rewards.alive(height),
+            "height": rewards.height(height, rising, numbers),
+            "upright": rewards.upright(self._up, rising, self._lying_angle),
+            "velocity": rewards.velocity(sway, self._velocity() - self.moves.wanted, standing),
+            "heading": rewards.heading(turn, standing),
+            "gait": rewards.gait(stepping, planted, asked, standing),
+            "drift": rewards.drift(drift, tracking),
+            "slip": toes.slip,
+            "foot_shift": rewards.foot_shift(self._way_of_feet(hind), self._early()),
             "terminations": met,
-            "flight": (clearance.amin(-1) > 0.01).float(),
-            "low": (low[:, self._near_ground] < 0.03).float().sum(-1),
-            "unrest": change.square().sum(-1).clamp(max=MOST_UNREST) * resting,
-            "shuffle": (hind_speed.clamp(max=MOST_SHUFFLE) * contact).mean(-1) * resting,
-            "heat": efforts["torque"].clamp(max=MOST_HEAT),
-            "overload": overload.square().sum(-1),
+            "flight": rewards.flight(toes.clearance),
+            "low": rewards.low(low[:, self._near_ground]),
+            "unrest": rewards.unrest(change, resting),
+            "shuffle": rewards.shuffle(toes.speed, toes.contact, resting),
+            "heat": rewards.heat(terms["torque"]),
+            "overload": rewards.overload(overload),
             "fall": ended.float(),
         }
-        quiet, asked_speed, fallen = w.quiet * tracking, self.moves.velocity[:, 0], terms["fall"]
+        figures = self._standing_figures(tracking, toes, change, drift, terms["fall"])
+        figures |= self._tracking_figures(tracking, sway, turn, terms["fall"])
+        return terms, ended, figures
+
+    def _standing_figures(
+        self, tracking: torch.Tensor, toes: HindToes, change: torch.Tensor, drift: torch.Tensor, fallen: torch.Tensor
+    ) -> dict[str, torch.Tensor]:
+        """Return how quietly robots stand, how they step, and how they are led."""
+        d = self.disturbances
+        quiet = self.worlds.quiet * tracking
         still = quiet * (self._gait == 0)
-        reached = (self._mean_velocity[:, 0] * asked_speed * tracking).sum()
-        figures = {
+        asked = self.moves.velocity[:, 0]
+        reached = (self._mean_velocity[:, 0] * asked * tracking).sum()
+        return {
             "still/planted": mean(self._load.amin(-1) > BEARS, still),
             "still/action_change": mean(change.square().mean(-1), still).sqrt(),
-            "still/shuffle": mean((hind_speed * contact).mean(-1), still),
-            "walk/speed_share": reached / (asked_speed.square() * tracking).sum().clamp(min=1e-3),
-            "walk/lift": mean(clearance.amax(-1), tracking * (self._gait == 1)),
+            "still/shuffle": mean((toes.speed * toes.contact).mean(-1), still),
+            "walk/speed_share": reached / (asked.square() * tracking).sum().clamp(min=1e-3),
+            "walk/lift": mean(toes.clearance.amax(-1), tracking * (self._gait == 1)),
             "quiet/drift": mean(drift, still),
             "quiet/falls": mean(fallen, quiet),
             "led/falls": mean(fallen, d.held.float()),
             "led/behind": mean(d.behind, d.held.float()),
+        }
+
+    def _tracking_figures(
+        self, tracking: torch.Tensor, sway: torch.Tensor, turn: torch.Tensor, fallen: torch.Tensor
+    ) -> dict[str, torch.Tensor]:
+        """Return how well robots follow what they are asked, and how many fall."""
+        toes = front_toes(self.worlds.qpos[:, 7:], self.description, torch)
+        off = toes - front_toes(self.arms.q[:, 1], self.description, torch)
+        return {
             "track/toe_error_cm": 100 * mean(off.norm(dim=-1).mean(-1), tracking),
             "track/mean_velocity_error": mean(sway.norm(dim=-1), tracking),
             "track/heading_error": mean(turn.abs(), tracking),
@@ -458,13 +497,14 @@ class StandTrackEnv(VecEnv, Chance):
             "track/termination_share": self._termination_share[0],
             "all/ends": fallen.mean(),
         }
-        return terms, ended, figures
 
     def _terminations(
         self, low: torch.Tensor, hind: torch.Tensor, tracking: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return where an episode ends in a fall or by one of the paper's terminations, and how many of them hold."""
-        q, step, numbers = self.worlds.qpos[:, 7:], self.episode_length_buf, self.description.training
+        q = self.worlds.qpos[:, 7:]
+        step = self.episode_length_buf
+        numbers = self.description.training
         grounded = low[:, self._grounding].amin(-1) < 0.002
         fallen = tracking & (grounded | (self.worlds.qpos[:, 2] < numbers.height_fallen) | (self._up < 0.3))
         beyond = (q < self._near_min) | (q > self._near_max)
@@ -480,34 +520,35 @@ class StandTrackEnv(VecEnv, Chance):
     def _early(self) -> torch.Tensor:
         return ~self._upright_start & (self.episode_length_buf <= GRACE_STEPS)
 
-    def _foot_shift(self, hind: torch.Tensor) -> torch.Tensor:
-        """Return the mean way of the hind toes (N, 2, 3) from where they began, while standing up (N,) [m]."""
+    def _way_of_feet(self, hind: torch.Tensor) -> torch.Tensor:
+        """Return the ways of the hind toes from where they began (N, 2, 3) [m]."""
         first = (self.episode_length_buf == 1)[:, None, None]
         self._toes_at_start.copy_(torch.where(first, hind, self._toes_at_start))
-        return (hind - self._toes_at_start).norm(dim=-1).mean(-1) * self._early()
+        return hind - self._toes_at_start
 
-    def _feet_now(self, low: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Return height [m], contact (1 or 0) and speed [m/s] of the hind toes (N, 2), and the paper's slip (N,)."""
-        w, clearance = self.worlds, low[:, self._hind_toes]
+    def _toes_now(self, low: torch.Tensor) -> HindToes:
+        """Return how the hind toes are and move."""
+        w = self.worlds
+        clearance = low[:, self._hind_toes]
         velocity, turning = w.toe_motion()
-        slip = sliding(w.toes[..., 2], velocity, turning, below=SLIP_HEIGHT)
-        return clearance, (clearance < 0.003).float(), velocity[:, 2:].norm(dim=-1), slip
+        slip = rewards.slip(w.toes[..., 2], velocity, turning, below=rewards.SLIP_HEIGHT)
+        return HindToes(clearance, (clearance < 0.003).float(), velocity[:, 2:].norm(dim=-1), slip)
 
     def _efforts(self) -> dict[str, torch.Tensor]:
         """Return the reward terms of motion and torque, which all tasks have; of the joints that the policy moves."""
-        w, q, own = self.worlds, self.worlds.qpos[:, 7:], self._own
+        w = self.worlds
+        own = self._own
         dq = own * w.qvel[:, 6:]
-        excess = torch.clamp(self._soft_min - q, min=0.0) + torch.clamp(q - self._soft_max, min=0.0)
         ddq = own * (w.qvel[:, 6:] - self._dq_before) / self.contract.dt
         ddq = torch.where((self.episode_length_buf > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
         dq = dq.clamp(-50, 50)
         return {
-            "action_rate": (own * (self._last_action - self._before_last)).square().sum(-1),
-            "torque": (own * w.motor_torque / self._peak).square().sum(-1),
-            "joint_velocity": dq.square().sum(-1),
-            "joint_speed": torch.clamp(dq.abs() - self.description.training.joint_speed, min=0.0).sum(-1),
-            "joint_acceleration": ddq.square().sum(-1),
-            "limits": (own * excess).sum(-1),
+            "action_rate": rewards.action_rate(own * (self._last_action - self._before_last)),
+            "torque": rewards.torque(own * w.motor_torque / self._peak),
+            "joint_velocity": rewards.joint_velocity(dq),
+            "joint_speed": rewards.joint_speed(dq, self.description.training.joint_speed),
+            "joint_acceleration": rewards.joint_acceleration(ddq),
+            "limits": rewards.limits(w.qpos[:, 7:], self._soft_min, self._soft_max, own),
         }
 
     def _toppling(self, hind: torch.Tensor) -> torch.Tensor:
@@ -541,13 +582,15 @@ class StandTrackEnv(VecEnv, Chance):
         every = round(r.push_interval / self.contract.dt)
         due = (self.episode_length_buf % every == 0) & (self.episode_length_buf > STAND_UP_STEPS)
         side = math.pi * (torch.floor(self._uniform(0.0, 2.0)) - 0.5) + self._uniform(-1.0, 1.0) * (math.pi / 6)
-        angle, speed = self._uniform(-math.pi, math.pi), self._uniform(*r.push) * self.disturbances.push_share
+        angle = self._uniform(-math.pi, math.pi)
+        speed = self._uniform(*r.push) * self.disturbances.push_share
         angle = torch.where(self._rand() < PUSHED_SIDEWAYS, self._heading + side, angle)
         kick = torch.stack([speed * torch.cos(angle), speed * torch.sin(angle)], -1)
         self.worlds.qvel[:, :2].add_(kick * due[:, None])
 
     def _reset(self, mask: torch.Tensor) -> None:
-        w, start = self.worlds, self._starts.draw()
+        w = self.worlds
+        start = self._starts.draw()
         put(w.qpos, mask, start.qpos)
         put(w.qvel, mask, start.qvel)
         self._measure()
@@ -572,7 +615,8 @@ class StandTrackEnv(VecEnv, Chance):
         put(self._known, mask, (~unknown).float())
 
     def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
-        w, n = self.worlds, self.num_envs
+        w = self.worlds
+        n = self.num_envs
         read_quat = quat_multiply(self._quat_WB, self.disturbances.mount)
         error = heading_error(read_quat, self.moves.heading, torch)
         gait = next_gait(self._gait, self.moves.velocity, error, self.contract, torch)

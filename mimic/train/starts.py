@@ -23,15 +23,23 @@ from mimic.robot.goals import MARGIN
 from mimic.simulation.plant import SimulatedPlant
 from mimic.train.tensors import Chance, quat_from_euler
 
-TILT, SIT_DOWN_TILT = 0.12, 0.25
+TILT = 0.12
 """Largest extra pitch of an upright start [rad]."""
 
-UNEVEN, SIT_DOWN_ROLL = 0.05, 0.1
-"""Largest roll of any start and pitch of a lying one; largest roll of a random start of sitting down [rad]."""
+SIT_DOWN_TILT = 0.25
+"""The same of sitting down [rad]."""
 
-LIFTED, NEAREST = 0.01, 0.01
-"""Added to the heights of the poses, so that nothing starts inside the ground [m]; least distance of a joint from its
-limits [rad]."""
+UNEVEN = 0.05
+"""Largest roll of any start and pitch of a lying one [rad]."""
+
+SIT_DOWN_ROLL = 0.1
+"""Largest roll of a random start of sitting down [rad]."""
+
+LIFTED = 0.01
+"""Added to the heights of the poses, so that nothing starts inside the ground [m]."""
+
+NEAREST = 0.01
+"""Least distance of a joint from its limits [rad]."""
 
 KINDS = ("steady", "rising", "falling")
 """Recorded states: while standing, walking and turning; while standing up; while falling after a push."""
@@ -42,9 +50,17 @@ STRIDE = 0.45
 LYING = 32
 """Robots whose lying without power, and whose ramp into the crouch, is computed for training."""
 
-VELOCITY, TURN, OFFSET, JITTER = 0.3, 1.0, 0.15, 0.15
-"""… largest base velocity along each axis [m/s], angular velocity [rad/s], difference between command and position of
-its joints [rad], and change of a recorded base velocity along each axis [m/s]."""
+VELOCITY = 0.3
+"""Sitting down: largest base velocity along each axis [m/s]."""
+
+TURN = 1.0
+"""Sitting down: largest angular velocity of the base about each axis [rad/s]."""
+
+OFFSET = 0.15
+"""Sitting down: largest difference between command and position of a joint [rad]."""
+
+JITTER = 0.15
+"""Sitting down: largest change of a recorded base velocity along each axis [m/s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +84,8 @@ class Start:
 @cache
 def lying_states(description: RobotDescription, ranges: Randomisation) -> tuple[np.ndarray, np.ndarray]:
     """Return MuJoCo's positions (LYING, 19) of robots that lie without power, and after the ramp into the crouch."""
-    limp, ramped = [], []
+    limp = []
+    ramped = []
     level = replace(ranges, push=(0.0, 0.0), heading=(0.0, 0.0))
     for seed in range(LYING):
         plant = SimulatedPlant(description, ranges=level, seed=seed, samples=False)
@@ -92,15 +109,18 @@ class Starts(Chance):
         self._ranges = settings.randomisation
         self.upright_share = torch.full((1,), settings.upright_share, device=device)
         """Share of the starts that are upright (1,)."""
-        self._q_min, self._q_max = self._tensor(description.q_min), self._tensor(description.q_max)
-        self._lie, self._upright = self._tensor(description.poses["lie"]), self._tensor(description.poses["upright"])
+        self._q_min = self._tensor(description.q_min)
+        self._q_max = self._tensor(description.q_max)
+        self._lie = self._tensor(description.poses["lie"])
+        self._upright = self._tensor(description.poses["upright"])
         self._heights = description.pose_height
         self._pitch = math.asin(float(description.upright_direction[2]))
         self._is_front = torch.arange(12, device=device) < 6
         self._shares = settings.limp_share, settings.limp_share + settings.ramped_share
         if self.ramps and self._shares[1] > 0.0:
             limp, ramped = lying_states(description, settings.randomisation)
-            self._limp, self._ramped = self._tensor(limp), self._tensor(ramped)
+            self._limp = self._tensor(limp)
+            self._ramped = self._tensor(ramped)
 
     def draw(self) -> Start:
         """Return a start for every world."""
@@ -114,7 +134,8 @@ class Starts(Chance):
         qvel = self._uniform(-0.1, 0.1, 18) * torch.where(upright, 1.0, 0.2)[:, None]
         command = qpos[:, 7:]
         if self._shares[1] > 0.0:
-            kind, row = self._uniform(0.0, 1.0), torch.floor(self._uniform(0.0, 1.0) * LYING).long()
+            kind = self._uniform(0.0, 1.0)
+            row = torch.floor(self._uniform(0.0, 1.0) * LYING).long()
             limp = (~upright & (kind < self._shares[0]))[:, None]
             ramped = (~upright & (kind >= self._shares[0]) & (kind < self._shares[1]))[:, None]
             lying = turned(torch.where(limp, self._limp[row], self._ramped[row]), heading)
@@ -127,7 +148,8 @@ class Starts(Chance):
         self, upright: torch.Tensor, quat: torch.Tensor, q: torch.Tensor, margin: float, above: tuple[float, float]
     ) -> torch.Tensor:
         """Return positions (N, 19) a little above the poses' heights; upright robots have front legs anywhere."""
-        low, high = self._q_min + margin, self._q_max - margin
+        low = self._q_min + margin
+        high = self._q_max - margin
         anywhere = low + (high - low) * self._uniform(0.0, 1.0, 12)
         q = torch.where(upright[:, None] & self._is_front, anywhere, q)
         q = torch.clamp(q, self._q_min + NEAREST, self._q_max - NEAREST)
@@ -138,7 +160,8 @@ class Starts(Chance):
 def turned(qpos: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
     """Return positions (N, 19) turned about up by heading (N,) [rad], about where the base is."""
     w, x, y, z = qpos[:, 3:7].unbind(-1)
-    c, s = torch.cos(heading / 2), torch.sin(heading / 2)
+    c = torch.cos(heading / 2)
+    s = torch.sin(heading / 2)
     quat = torch.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], -1)
     return torch.cat([qpos[:, :3], quat, qpos[:, 7:]], -1)
 
@@ -177,13 +200,16 @@ class SitDownStarts(Starts):
         kinds = recorded_states(robot_file("handovers.npz", description.name)).values()
         counts = [len(rows) for rows in kinds]
         self._recorded = self._tensor(np.concatenate(list(kinds)))
-        self._first, self._count = self._tensor(np.cumsum([0, *counts[:-1]])), self._tensor(counts)
+        self._first = self._tensor(np.cumsum([0, *counts[:-1]]))
+        self._count = self._tensor(counts)
         self._kind_ends = self._tensor(np.cumsum(list(SHARES.values())))
 
     def draw(self) -> Start:
         """Return a start for every world."""
         kind = torch.bucketize(self._uniform(0.0, 1.0), self._kind_ends, right=True)
-        is_recorded, lying, kind = kind < len(KINDS), kind == len(KINDS), kind.clamp(max=len(KINDS) - 1)
+        is_recorded = kind < len(KINDS)
+        lying = kind == len(KINDS)
+        kind = kind.clamp(max=len(KINDS) - 1)
         row = self._first[kind] + torch.floor(self._uniform(0.0, 1.0) * self._count[kind])
         recorded = self._recorded[row.long().clamp(max=len(self._recorded) - 1)]
 

@@ -15,7 +15,7 @@ from mimic.records import LEGS
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
-from mimic.train.rewards import sliding  # noqa: E402
+from mimic.train.rewards import slip  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 from mimic.train.tensors import quat_multiply, quat_rotate  # noqa: E402
 
@@ -147,7 +147,7 @@ def test_toe_motion_is_that_of_mujoco(description):
 def test_only_low_toes_pay_for_moving():
     height = torch.tensor([[0.02, 0.05, 0.02, 0.05]])
     velocity, turning = torch.full((1, 4, 2), 0.5), torch.full((1, 4), torch.pi)
-    assert sliding(height, velocity, turning, below=0.03).item() == pytest.approx(2 * (0.5 + 1.0))
+    assert slip(height, velocity, turning, below=0.03).item() == pytest.approx(2 * (0.5 + 1.0))
 
 
 def test_a_pull_grows_to_its_size_and_comes_more_often_from_behind(description, monkeypatch):

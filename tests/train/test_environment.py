@@ -22,8 +22,9 @@ from mimic.simulation.plant import SimulatedPlant
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
 from mimic.train.contract import STAND_UP_STEPS  # noqa: E402
+from mimic.train.rewards import BEARS, MOST_DRIFT, MOST_SHUFFLE  # noqa: E402
 from mimic.train.schedules import SETTLES  # noqa: E402
-from mimic.train.stand_track import BEARS, MOST_DRIFT, MOST_SHUFFLE, StandTrackEnv  # noqa: E402
+from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 FEW = MdpSettings(
     worlds=6,
@@ -416,7 +417,7 @@ def test_the_finish_makes_a_term_count_for_more_once_all_is_learned(description)
 def upright(description, monkeypatch):
     """Makes worlds in which every robot starts upright, with rewards at their full weight and size."""
     monkeypatch.setattr("mimic.train.stand_track.REWARD_SCALE", 1.0)
-    monkeypatch.setattr("mimic.train.stand_track.REFINING_SHARE", 1.0)
+    monkeypatch.setattr("mimic.train.weights.REFINING_SHARE", 1.0)
     return lambda **settings: make(description, upright_share=1.0, upright_share_at_first=1.0, **settings)
 
 

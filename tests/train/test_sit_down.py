@@ -18,9 +18,9 @@ for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
 from mimic.robot.description import load_description  # noqa: E402
 from mimic.train import starts  # noqa: E402
 from mimic.train.learn import train as train_robot  # noqa: E402
-from mimic.train.rewards import REWARD_SCALE  # noqa: E402
-from mimic.train.sit_down import WEIGHTS, SitDownEnv  # noqa: E402
+from mimic.train.sit_down import SitDownEnv  # noqa: E402
 from mimic.train.starts import SHARES, SitDownStarts, recorded_states  # noqa: E402
+from mimic.train.weights import REWARD_SCALE, SIT_DOWN  # noqa: E402
 
 train = partial(train_robot, description=load_description("cyberdog2"))
 
@@ -70,7 +70,7 @@ def test_a_robot_that_lies_and_stays_earns_all_that_can_be_earned(description, m
     for _ in range(96):
         _, reward, done, extras = env.step(to_lie(description))
         assert not done.any()
-    most = sum(WEIGHTS[name] for name in ("height", "level", "pose", "pose_fine", "still"))
+    most = sum(SIT_DOWN[name] for name in ("height", "level", "pose", "pose_fine", "still"))
     assert reward.min() > 0.85 * REWARD_SCALE * most
     assert extras["log"]["sit_down/lying"] == 1
 
@@ -86,7 +86,7 @@ def test_a_robot_that_drops_pays_for_it(description, monkeypatch):
 def test_there_is_a_weight_for_each_term(env):
     env.step(torch.zeros(SIT.worlds, 12))
     terms, _, _ = env._evaluate(torch.ones(SIT.worlds, dtype=torch.bool), env.worlds.lowest())
-    assert set(terms) == set(WEIGHTS)
+    assert set(terms) == set(SIT_DOWN)
 
 
 def test_states_that_are_not_there_are_reported():
