@@ -110,7 +110,7 @@ def robustness_table(result: dict[str, Any]) -> str:
     body = []
     for name, axis in result["axes"].items():
         unit = f" [{axis['unit']}]" if axis["unit"] else ""
-        shares = " · ".join(f"{p['value']:g}: {100 * p['survived']:.0f}" for p in axis["points"])
+        shares = ", ".join(f"{p['value']:g}: {100 * p['survived']:.0f}" for p in axis["points"])
         title = name.replace("_", " ") + unit
         body.append(
             (title, span(axis["trained"], "–"), span(axis["asked"], "–"), span(axis["holds"], "nowhere"), shares)

@@ -19,7 +19,7 @@ BOARD_LATE = 0x01
 BOARD_TIMED_OUT = 0x02
 """Bit of the same: commands are ignored."""
 
-_SIT = "sit down if upright and at most one motor is lost, else damp"
+_SIT = "sit down*"
 
 
 @dataclass(frozen=True, kw_only=True)
