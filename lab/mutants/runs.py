@@ -136,6 +136,7 @@ class Copy:
             "PYTHONDONTWRITEBYTECODE": "1",
             "MUTANTS_OUTCOMES": str(outcomes),
             "TMPDIR": str(self.work),
+            "XDG_STATE_HOME": str(self.work),
             "CUDA_VISIBLE_DEVICES": "",
         }
         begun = time.monotonic()
