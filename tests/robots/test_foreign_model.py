@@ -91,6 +91,16 @@ def test_another_order_of_legs_and_parts_that_refer_to_names_do_no_harm(tmp_path
     assert np.abs([data.site(toe).xpos for toe in TOES] - all_toes(q, description)).max() < 1e-9
 
 
+def test_a_model_whose_contacts_are_off_as_of_a_suspended_robot_stands_on_the_floor(tmp_path):
+    description = robot(tmp_path)
+    path = tmp_path / "robot.xml"
+    off = '<mujoco><option><flag contact="disable" gravity="disable"/></option>'
+    path.write_text(path.read_text(encoding="utf-8").replace("<mujoco>", off, 1), encoding="utf-8")
+    flags = load_model(description).opt.disableflags
+    assert not flags & mujoco.mjtDisableBit.mjDSBL_CONTACT
+    assert flags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+
+
 @pytest.mark.parametrize(
     ("left_out", "said"),
     [

@@ -17,6 +17,7 @@ from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.can.zeros import with_homing
 from mimic.hardware.motors.bus import MotorBus
+from mimic.hardware.motors.interface import Register
 from mimic.hardware.robot.checks import Check, feet_normal
 
 WIRING = load_wiring()
@@ -95,6 +96,20 @@ def test_zeros_that_were_set_pass(description):
     found = preflight(motor_bus, description, rate_hz=50.0, homing=homing, trust_zeros=False)
     assert {f.name: f.verdict for f in found}["zeros"] == "ok"
     assert not [f for f in found if f.verdict == "stop"]
+
+
+@pytest.mark.parametrize(("spread", "verdict"), [(1.4, "ok"), (1.6, "note")])
+def test_motors_that_differ_in_their_supply_are_a_hint_at_the_wires(spread, verdict, description, monkeypatch):
+    whole = MotorBus.read
+
+    def read(self: MotorBus, register: Register) -> np.ndarray:
+        drop = spread * (np.arange(12) == 5) if register == Register.SUPPLY_VOLTAGE else 0.0
+        return whole(self, register) - drop
+
+    monkeypatch.setattr(MotorBus, "read", read)
+    found = look(description)["voltage"]
+    assert found.verdict == verdict
+    assert ("check the wires" in found.text) == (verdict == "note")
 
 
 def test_a_robot_that_does_not_lie_is_stopped_with_the_joint_that_is_furthest_off(description):
