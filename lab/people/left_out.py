@@ -42,8 +42,17 @@ def _heading(clips: list[Clip]) -> float:
     return float(np.sqrt(np.mean([heading_off(estimated(seen), true) ** 2 for seen, true in clips])))
 
 
+def _alone(clips: list[Clip]) -> float:
+    return float(np.mean([targets_apart(seen, true, REACH) for seen, true in clips]))
+
+
 def _targets(clips: list[Clip]) -> float:
-    return float(np.mean([targets_apart(estimated(seen), true, REACH) for seen, true in clips]))
+    return _alone([(estimated(seen), true) for seen, true in clips])
+
+
+def _left(clips: list[Clip]) -> float:
+    """Return the share of the detector's error that is left, so that whoever moves much counts no more than others."""
+    return _targets(clips) / _alone(clips)
 
 
 def _declared(clips: list[Clip]) -> float:
@@ -73,7 +82,7 @@ WIDTHS = (0.60, 0.65, 0.70, 0.75, 0.80)
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 STEPS = (
     Step(heading, ("WIDTH", "SHARE"), (WIDTHS, SHARES), _heading),
-    Step(depth, ("MEAN_SHARE",), ((0.0, 0.25, 0.5, 0.6, 0.7, 0.85, 1.0),), _targets),
+    Step(depth, ("MEAN_SHARE",), (tuple(np.linspace(0.0, 1.0, 11).round(1)),), _left),
     Step(depth, ("SURE_SHARE", "UNKNOWN"), (SHARES, (0.04, 0.06, 0.07, 0.08, 0.09, 0.10)), _declared),
 )
 _known: dict[tuple[object, ...], float] = {}
@@ -104,12 +113,11 @@ def declared_and_true(clips: list[Clip]) -> np.ndarray:
 
 def report(name: str, chosen: list[float], clips: list[Clip]) -> np.ndarray:
     """Print how a person fares with the numbers in force; return `declared_and_true`."""
-    alone = np.mean([targets_apart(seen, true, REACH) for seen, true in clips])
     off = " ".join(f"{heading_off(estimated(seen), true):.0f}" for seen, true in clips)
     both = declared_and_true(clips)
     fifths = " ".join(f"{ratio:.2f}" for ratio in both[0] / both[1])
     numbers = ", ".join(f"{value:g}" for value in chosen)
-    print(f"| {name} | {numbers} | {alone:.2f} | {_targets(clips):.2f} | {off}° | {fifths} |", flush=True)
+    print(f"| {name} | {numbers} | {_alone(clips):.2f} | {_targets(clips):.2f} | {off}° | {fifths} |", flush=True)
     return both
 
 

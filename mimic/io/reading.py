@@ -12,6 +12,7 @@ from mimic.records import FloatArray
 
 STEPS = (5e-5, 0.5)
 """Plausible median times between two rows of a recording [s]: 20 kHz down to 2 Hz."""
+_POINTER = b"version https://git-lfs."
 _SCALES = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 
 
@@ -23,14 +24,24 @@ def existing(source: str | Path, what: str = "file {}") -> Path:
         what: What there is none of, for the message.
 
     Raises:
-        SourceError: If nothing is there, or it is an address on a network.
+        SourceError: If nothing is there, it is an address on a network, or stands for a file of git LFS.
     """
     path = Path(source)
     if path.exists():
+        refuse_pointer(path, SourceError)
         return path
     if address := re.match(r"(\w{2,}):/+(.*)", str(source)):
         raise SourceError(f"{address[1]}://{address[2]} is an address; download the file and give its path")
     raise SourceError(f"there is no {what.format(path)}")
+
+
+def refuse_pointer(path: Path, error: type[MimicError]) -> None:
+    """Refuse a text of git LFS that stands for a large file."""
+    if not path.is_file():
+        return
+    with open(path, "rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise error(f"{path} is a git LFS pointer, not the file itself; run git lfs pull")
 
 
 def check_clock(

@@ -12,6 +12,7 @@ import onnxruntime
 from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ContractError
 from mimic.io.assets import shipped
+from mimic.io.reading import refuse_pointer
 from mimic.policy.contract import METADATA_KEY, PolicyContract
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription, load_description
@@ -29,6 +30,7 @@ class Policy:
         """
         if not path.is_file():
             raise AssetError(f"there is no policy {path}")
+        refuse_pointer(path, AssetError)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1

@@ -45,6 +45,13 @@ def test_a_file_that_is_no_model_is_reported_in_one_line(tmp_path, description):
     assert "\n" not in str(error.value)
 
 
+def test_a_pointer_of_git_lfs_says_how_to_get_the_model(tmp_path, description):
+    path = tmp_path / "a.onnx"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 4448742\n")
+    with pytest.raises(AssetError, match=r"a\.onnx is a git LFS pointer, not the file itself; run git lfs pull"):
+        Policy(path, description)
+
+
 def test_a_model_without_a_contract_is_refused(tmp_path, constant_onnx, description):
     with pytest.raises(ContractError, match="declares no contract; export it with mimic train"):
         Policy(constant_onnx(tmp_path / "a.onnx", metadata=None), description)

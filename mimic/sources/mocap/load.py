@@ -42,6 +42,8 @@ METRIC = ("m", "cm", "mm")
 """Units that are confused in a file that names one."""
 LONGEST = (0.15, 1.6)
 """An arm is not shorter and not longer [m]; the units of UNITS are at most a factor of ten apart."""
+CORRECTED = (0.25, 1.0)
+"""The same where the file's own unit is not believed [m]: 17 m may be anything."""
 CLEARLY = 0.75
 """Minimum component of the torso direction along an axis that is taken as up."""
 
@@ -73,6 +75,8 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     scheme, skeletons = recognise(points.names, read_names(mocap.names))
     person, others = _person(points, skeletons, settings.person, path)
     steady = with_steady_bones(_named(without_marks(points), person))
+    if np.isnan(steady.xyz).all():
+        raise SourceError(f"{path.name} shows nobody: no coordinates, or marks for what was not seen; export it again")
     marks = marks_said(_named(points, person), steady)
     unit, length, doubts = _unit(steady, path)
     moving, rest = without_first_pose(steady)
@@ -224,10 +228,11 @@ def _unit(named: Points, path: Path) -> tuple[str, float, tuple[str, ...]]:
         return given, UNITS[given], ()
     units = UNITS if given is None else METRIC
     best = min(units, key=lambda name: abs(np.log(max(UNITS[name] * length, 1e-12) / ARM)))
-    if not LONGEST[0] <= UNITS[best] * length <= LONGEST[1]:
+    shortest, longest = LONGEST if given is None else CORRECTED
+    if not shortest <= UNITS[best] * length <= longest:
         raise SourceError(
-            f"the arms in {path.name} are {length:.3g} {given or 'units'} long; expected {LONGEST[0]:g} to "
-            f"{LONGEST[1]:g} m, in {' or '.join(units)}: correct the unit, or the positions"
+            f"the arms in {path.name} are {length:.3g} {given or 'units'} long; expected {shortest:g} to "
+            f"{longest:g} m, in {' or '.join(units)}: correct the unit, or the positions"
         )
     doubt = f"the file says {given}, but its arms would be {UNITS[given or best] * length:.3g} m long"
     return f"{best} by the length of the arms", UNITS[best], (doubt,) * (given is not None)

@@ -48,7 +48,7 @@ SURE_SHARE = 0.5
 """Share of the network's own doubt in the declared spread; chosen as MEAN_SHARE is (lab/people/left_out.py)."""
 UNKNOWN = 0.08
 """What no picture tells, in quadrature with it [m]; chosen likewise."""
-MEAN_SHARE = 0.85
+MEAN_SHARE = 0.8
 """Share of the network in the average depth of an arm; the rest is the detector's (lab/people/left_out.py)."""
 SLOW_S = 0.5
 """Standard deviation of the Gaussian over scale and heading of a clip [s]."""

@@ -1,7 +1,8 @@
 """Adds to a TFLite model what mediapipe's Tasks API asks for: how its input picture is normalised.
 
-Source: TFLite's schema.fbs (Model, Buffer, Metadata) and metadata_schema.fbs (ModelMetadata and below); the numbers of
-fields are their places in these files.
+mediapipe's own classes write the metadata; packing the model with them would lose the alignment of its weights.
+
+Source: TFLite's schema.fbs (Model, Buffer, Metadata); the numbers of fields are their places in this file.
 """
 
 from __future__ import annotations
@@ -19,12 +20,6 @@ _BUFFERS = 4
 _METADATA = 6
 _OTHER_OFFSETS = (1, 2, 3, 5, 7)
 """Fields of Model: besides its version, buffers and metadata it has operators, subgraphs, description, signatures."""
-_NORMALIZATION_OPTIONS = 1
-"""Member of the union ProcessUnitOptions."""
-_IMAGE_PROPERTIES = 2
-"""Member of the union ContentProperties."""
-_RGB = 1
-"""Value of ColorSpaceType."""
 
 
 def with_normalisation(model: bytes, mean: float, std: float) -> bytes:
@@ -72,34 +67,27 @@ def with_normalisation(model: bytes, mean: float, std: float) -> bytes:
 def _metadata(mean: float, std: float) -> bytes:
     """Return a ModelMetadata file of one subgraph with one input picture."""
     from flatbuffers import Builder
+    from mediapipe.tasks.metadata import metadata_schema_py_generated as schema
 
+    picture = schema.ImagePropertiesT(colorSpace=schema.ColorSpaceType.RGB)
+    content = schema.ContentT(schema.ContentProperties.ImageProperties, picture)
+    normal = schema.NormalizationOptionsT([mean], [std])
+    unit = schema.ProcessUnitT(schema.ProcessUnitOptions.NormalizationOptions, normal)
+    tensor = schema.TensorMetadataT(name="image", content=content, processUnits=[unit])
+    model = schema.ModelMetadataT(subgraphMetadata=[schema.SubGraphMetadataT(inputTensorMetadata=[tensor])])
     builder = Builder(256)
-    options = _table(builder, {0: _floats(builder, mean), 1: _floats(builder, std)})
-    unit = _table(builder, {1: options}, kinds={0: _NORMALIZATION_OPTIONS})
-    picture = _table(builder, {}, kinds={0: _RGB})
-    content = _table(builder, {1: picture}, kinds={0: _IMAGE_PROPERTIES})
-    tensor = _table(builder, {0: builder.CreateString("image"), 3: content, 4: _vector(builder, [unit])})
-    subgraph = _table(builder, {2: _vector(builder, [tensor])})
-    builder.Finish(_table(builder, {3: _vector(builder, [subgraph])}), b"M001")
+    builder.Finish(model.Pack(builder), b"M001")
     return bytes(builder.Output())
 
 
-def _table(
-    builder: Builder,
-    offsets: dict[int, int],
-    numbers: dict[int, int] | None = None,
-    kinds: dict[int, int] | None = None,
-) -> int:
-    """Write a table of offsets, unsigned integers and bytes by field number, and return its place."""
+def _table(builder: Builder, offsets: dict[int, int], numbers: dict[int, int] | None = None) -> int:
+    """Write a table of offsets and unsigned integers by field number, and return its place."""
     numbers = numbers or {}
-    kinds = kinds or {}
-    builder.StartObject(1 + max((*offsets, *numbers, *kinds)))
+    builder.StartObject(1 + max((*offsets, *numbers)))
     for field, place in offsets.items():
         builder.PrependUOffsetTRelativeSlot(field, place, 0)
     for field, value in numbers.items():
         builder.PrependUint32Slot(field, value, 0)
-    for field, value in kinds.items():
-        builder.PrependUint8Slot(field, value, 0)
     return builder.EndObject()
 
 
@@ -107,10 +95,4 @@ def _vector(builder: Builder, tables: list[int]) -> int:
     builder.StartVector(4, len(tables), 4)
     for place in reversed(tables):
         builder.PrependUOffsetTRelative(place)
-    return builder.EndVector()
-
-
-def _floats(builder: Builder, value: float) -> int:
-    builder.StartVector(4, 1, 4)
-    builder.PrependFloat32(value)
     return builder.EndVector()

@@ -225,18 +225,41 @@ def test_what_sam_3d_body_finds_is_named_by_its_seventy_points(tmp_path):
 # ---------------------------------------------------------------------- tables and skeletons
 
 
-@pytest.mark.parametrize(("separator", "point"), [(",", "."), (";", "."), (";", ","), ("\t", ",")])
-def test_markers_are_read_whatever_separates_them(separator, point, tmp_path):
-    xyz = np.stack(list(body().values()), axis=1)
+def markers(path: Path, *, unit: str = "m", scale: float = 1.0, separator: str = "\t", point: str = ".") -> PoseTrack:
+    """The same body as a marker file."""
+    xyz = scale * np.stack(list(body().values()), axis=1)
     head = separator.join(["Frame#", "Time", *(f"{name}{2 * separator}" for name in body())])
     rows = [
         separator.join([str(i + 1), *(f"{v:.5f}".replace(".", point) for v in (i / 30, *row.ravel()))])
         for i, row in enumerate(xyz)
     ]
-    facts = [separator.join(["DataRate", "Units"]), separator.join(["30", "m"])]
-    (tmp_path / "a.trc").write_text("\n".join([f"PathFileType{separator}4", *facts, head, "", "", *rows]))
-    track = track_mocap(tmp_path / "a.trc", MocapSettings(), PoseSettings())
+    facts = [separator.join(["DataRate", "Units"]), separator.join(["30", unit])]
+    path.write_text("\n".join([f"PathFileType{separator}4", *facts, head, "", "", *rows]))
+    return track_mocap(path, MocapSettings(), PoseSettings())
+
+
+@pytest.mark.parametrize(("separator", "point"), [(",", "."), (";", "."), (";", ","), ("\t", ",")])
+def test_markers_are_read_whatever_separates_them(separator, point, tmp_path):
+    track = markers(tmp_path / "a.trc", separator=separator, point=point)
     assert apart(track, read(tmp_path / "b.npz", body())) < 1e-3
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 30.0), ("cm", 0.1), ("mm", 30.0)])
+def test_arms_that_are_long_in_no_unit_are_refused(unit, scale, tmp_path):
+    with pytest.raises(SourceError, match=rf"the arms in a\.trc are .* {unit} long; expected 0.25 to 1 m, in m or cm"):
+        markers(tmp_path / "a.trc", unit=unit, scale=scale)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 100.0), ("m", 1000.0), ("mm", 1.0)])
+def test_a_unit_that_is_off_by_what_units_differ_by_is_said(unit, scale, tmp_path):
+    assert any(
+        f"the file says {unit}, but" in text for text in markers(tmp_path / "a.trc", unit=unit, scale=scale).warnings
+    )
+
+
+def test_a_file_of_marks_only_shows_nobody(tmp_path):
+    with pytest.raises(SourceError, match=r"a\.trc shows nobody"):
+        markers(tmp_path / "a.trc", scale=0.0)
 
 
 def test_markers_separated_by_commas_of_a_user_are_read():
