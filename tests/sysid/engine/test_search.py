@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lab.innovations.data import data_of
-from lab.innovations.laws import ROW
-from lab.innovations.model import setting_of
-from lab.innovations.result import dependences, effects_of
-from lab.innovations.search import baseline, describe, search
+from mimic.sysid.engine.data import data_of
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.model import setting_of
+from mimic.sysid.engine.effects import dependences, effects_of
+from mimic.sysid.engine.search import baseline, describe, search
 from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.effect_set import EffectValues, read_effects, write_effects
 from tests.sysid.conftest import log_of, pair

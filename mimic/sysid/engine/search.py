@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lab.innovations.data import Data
-from lab.innovations.laws import ROW
-from lab.innovations.likelihood import FOLLOWING, scales
-from lab.innovations.model import Free, Model, Setting, setting_of, to_fit
-from lab.innovations.screen import Found, Screen, applicable, wanted, with_effect
+from mimic.sysid.engine.data import Data
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.likelihood import FOLLOWING, scales
+from mimic.sysid.engine.model import Free, Model, Setting, setting_of, to_fit
+from mimic.sysid.engine.screen import Found, Screen, applicable, wanted, with_effect
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from lab.innovations.laws import (
+from mimic.sysid.engine.laws import (
     AIM,
     CHANGE,
     DELAY,
@@ -50,7 +50,7 @@ from lab.innovations.laws import (
     resisting,
     unread,
 )
-from lab.innovations.tree import (
+from mimic.sysid.engine.tree import (
     AT,
     BIAS,
     END,

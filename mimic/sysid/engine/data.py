@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lab.innovations.predictor import Record
-from lab.innovations.tree import Tree, tree_of
+from mimic.sysid.engine.predictor import Record
+from mimic.sysid.engine.tree import Tree, tree_of
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lab.innovations.tree import inlined
+from mimic.sysid.engine.tree import inlined
 from mimic.dynamics.catalogue import CATALOGUE
 
 KEYS = tuple((e.name, p.name) for e in CATALOGUE.values() for p in e.parameters)

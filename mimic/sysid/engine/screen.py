@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lab.innovations.laws import ROW
-from lab.innovations.likelihood import weights
-from lab.innovations.model import STEP, Free, Model, Setting, from_fit, to_fit
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.likelihood import weights
+from mimic.sysid.engine.model import STEP, Free, Model, Setting, from_fit, to_fit
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.catalogue.kinds import MODEL, Effect, Parameter
 from mimic.dynamics.law import OF_DRIVES

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lab.innovations.data import Data
-from lab.innovations.laws import KEYS, ROW
-from lab.innovations.likelihood import DECAY, Gains, misfit, scales, weights
-from lab.innovations.predictor import arrays_of, predict
-from lab.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
+from mimic.sysid.engine.data import Data
+from mimic.sysid.engine.laws import KEYS, ROW
+from mimic.sysid.engine.likelihood import DECAY, Gains, misfit, scales, weights
+from mimic.sysid.engine.predictor import arrays_of, predict
+from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
 from mimic.dynamics.catalogue import CATALOGUE, scale_of
 from mimic.dynamics.catalogue.kinds import MODEL, Parameter
 from mimic.dynamics.servo import neutral

@@ -1,6 +1,6 @@
 """The identification by innovations on shared logs, each with what is known of it.
 
-    python -m lab.innovations DATA OUT [SET ...]
+    python -m lab.real_logs.known DATA OUT [SET ...]
 
 reads DATA/arm, arm2, xl330, emps, sts3250 and go2_air_chirp, and if asked for DATA/ur10e (ur-20_01_22-joint_1.csv of
 shamilmamedov/dynamic_calibration), writes a line of JSON for each case to OUT and prints a table. A case is right if
@@ -21,10 +21,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from lab.innovations.data import Data, data_of
-from lab.innovations.laws import KEYS
-from lab.innovations.model import Model
-from lab.innovations.search import Outcome, describe, search
+from mimic.sysid.engine.data import Data, data_of
+from mimic.sysid.engine.laws import KEYS
+from mimic.sysid.engine.model import Model
+from mimic.sysid.engine.search import Outcome, describe, search
 from lab.real_logs.logs import (
     EMPS_MJCF,
     SERVO_MJCF,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from lab.innovations.data import Data
+from mimic.sysid.engine.data import Data
 from mimic.records import FloatArray
 
 FREEDOM = 8.0

@@ -5,7 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from lab.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed, tree_of
+from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed, tree_of
 from mimic.dynamics.machine import MachineModel, read_machine
 
 TREE = """<mujoco><compiler angle="radian"/><worldbody>

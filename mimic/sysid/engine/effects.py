@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lab.innovations.laws import ROW
-from lab.innovations.model import Free, Key, Model, from_fit
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.model import Free, Key, Model, from_fit
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.records import FloatArray
