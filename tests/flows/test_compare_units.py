@@ -34,7 +34,7 @@ def unit(tmp_path, monkeypatch):
 
 
 def compared(capsys, *options):
-    search = ("--no-torque", "--effects", "spring", "--timestep", "0.005", "--model", "robot.xml")
+    search = ("--effects", "spring", "--model", "robot.xml")
     status = main(["calibrate", "a.parquet", "--compare", "b.parquet", *search, *options])
     said = capsys.readouterr()
     return status, said.out + said.err

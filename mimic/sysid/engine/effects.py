@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from mimic.sysid.engine.laws import ROW
-from mimic.sysid.engine.model import Free, Key, Model, from_fit
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.records import FloatArray
+from mimic.records import FloatArray, IntArray
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.model import Free, Key, Model, from_fit
 
 BINS = 12
 """Equal shares of the readings over which a torque is averaged: few enough that each holds a whole motion."""
@@ -22,22 +22,37 @@ SURE = 1.96
 """Standard deviations of a 95 % interval."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Dependence:
-    """What the unknown torque of a joint depends on."""
+class Motion(NamedTuple):
+    """What a pass that follows every reading says of a machine, (T, J) each."""
 
-    joint: str
-    size: float
-    """Root mean square [N m or N]."""
-    on: tuple[tuple[str, float], ...]
-    """Quantities and the share of it that each tells in blocks left out, the most telling first."""
+    position: FloatArray
+    speed: FloatArray
+    unknown: FloatArray
+    """Unknown torque."""
+    torque: FloatArray
+    """Of the motors."""
 
 
-def effects_of(model: Model) -> EffectSet:
-    """Return all numbers that were fitted, with their 95 % intervals, as an effects file has them."""
+def motion_of(model: Model) -> Motion:
+    """Return the motion that a log tells."""
+    read, unknown, torque = model.setting.passes.whole([model.table], model.gains, follow=True)[0]
+    return Motion(position=read, speed=np.gradient(read, model.data.record.t, axis=0), unknown=unknown, torque=torque)
+
+
+def covariance(model: Model, repeats: float = 1.0) -> FloatArray:
+    """Return how uncertain the free numbers are together (P, P), in what is fitted.
+
+    Args:
+        model: Numbers and their derivatives.
+        repeats: How often errors repeat themselves within a block.
+    """
     model = model.differentiated()
-    hessian = model.normal()[0] + model.plausibility(model.values())[0]
-    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(hessian)), 0.0))
+    return np.linalg.pinv(model.normal()[0] / repeats + model.plausibility(model.values())[0])
+
+
+def effects_of(model: Model, repeats: float = 1.0) -> EffectSet:
+    """Return all numbers that were fitted, with their 95 % intervals, as an effects file has them."""
+    spread = np.sqrt(np.maximum(np.diag(covariance(model, repeats)), 0.0))
     known = {(f.key, f.joint): (f, x, s) for f, x, s in zip(model.free, model.values(), spread, strict=True)}
     names = dict.fromkeys(f.key[0] for f in model.free)
     return EffectSet(tuple(_values(model, name, known) for name in names))
@@ -58,24 +73,29 @@ def _values(model: Model, name: str, known: dict[tuple[Key, int], tuple[Free, fl
     return EffectValues(name=name, joints=joints, values=values, intervals=intervals, role="fitted")
 
 
-def dependences(model: Model) -> tuple[Dependence, ...]:
-    """Return what the unknown torque of each joint depends on, from a pass that follows every reading."""
-    read, unknown, torque = model.setting.passes.whole([model.table], model.gains, follow=True)[0]
-    t, joints = model.data.record.t, model.data.machine.joints
-    speed = np.gradient(read, t, axis=0)
+def dependences(model: Model, motion: Motion) -> tuple[tuple[tuple[str, float], ...], ...]:
+    """Return for each joint which quantities tell its unknown torque, and the share of it that each tells in blocks
+    left out, the most telling first.
+    """
+    joints = model.data.machine.joints
     found = []
-    for j, joint in enumerate(joints):
-        quantities = {"position": read[:, j], "speed": speed[:, j], "torque": torque[:, j], "time": t}
-        quantities |= {f"position of {joints[k]}": read[:, k] for k in range(len(joints)) if k != j}
+    for j in range(len(joints)):
+        quantities = {
+            "position": motion.position[:, j],
+            "speed": motion.speed[:, j],
+            "torque": motion.torque[:, j],
+            "time": model.data.record.t,
+        }
+        quantities |= {f"position of {joints[k]}": motion.position[:, k] for k in range(len(joints)) if k != j}
         rows = model.data.counts[:, j]
-        told = {name: _told(x[rows], unknown[rows, j], model.data.block[rows]) for name, x in quantities.items()}
-        ranked = sorted(((n, round(s, 2)) for n, s in told.items() if s > DEPENDS), key=lambda r: -r[1])
-        size = float(np.sqrt(np.mean(unknown[rows, j] ** 2)))
-        found.append(Dependence(joint=joint, size=size, on=tuple(ranked)))
+        left = motion.unknown[rows, j]
+        told = {name: _told(x[rows], left, model.data.block[rows]) for name, x in quantities.items()}
+        ranked = sorted(((name, share) for name, share in told.items() if share > DEPENDS), key=lambda r: -r[1])
+        found.append(tuple(ranked))
     return tuple(found)
 
 
-def _told(x: FloatArray, y: FloatArray, block: FloatArray) -> float:
+def _told(x: FloatArray, y: FloatArray, block: IntArray) -> float:
     """Return the share of y in every second block that its mean over equal shares of x in the others tells."""
     edges = np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)[1:-1])
     at = np.searchsorted(edges, x)

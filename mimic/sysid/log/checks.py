@@ -14,6 +14,8 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import (
     FOLLOWS,
     MEMORY,
+    MOST,
+    SURE,
     Following,
     following,
     noise_floor,
@@ -23,9 +25,8 @@ from mimic.sysid.log.noise import (
 )
 from mimic.sysid.log.pool import BETWEEN, at_odd_times, filled, followed, missing, spikes, valid_samples
 from mimic.sysid.log.timing import MOST_WRONG
-from mimic.sysid.result import RULES
 
-STRANGER = float(np.sqrt(RULES.most))
+STRANGER = float(np.sqrt(MOST))
 """With one that it follows badly: the target does not explain most of its squares."""
 
 
@@ -56,7 +57,7 @@ def units(log: JointLog) -> Iterator[str]:
     if log.q_des is None:
         return
     spread, wanted = log.q.std(axis=0), log.q_des.std(axis=0)
-    moves = (spread > RULES.z * noise_floor(log.q, log.rate)) & (wanted > 0)
+    moves = (spread > SURE * noise_floor(log.q, log.rate)) & (wanted > 0)
     ratio = np.divide(spread, wanted, out=np.ones(len(moves)), where=moves)
     for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
         for larger, of in (("q", ratio), ("q_des", 1.0 / ratio)):

@@ -9,7 +9,13 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm, truncnorm, uniform
 
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.result import RULES
+
+SURE = 3.0
+"""Standard deviations that noise hardly reaches."""
+
+MOST = 0.5
+"""Share that is most of something: of what a target explains, and of readings: if their mean unit vector is as long,
+wound round a circle of the length of a step, they are multiples of it."""
 
 FINEST_STEP = 2.5
 """Least step of a coarse encoder that is looked for, in noise floors.
@@ -151,7 +157,7 @@ def coarse_steps(q: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArr
     """
     found = [_step_of(column, float(floor)) for column, floor in zip(q.T, noise, strict=True)]
     step, agreement = (np.array(row) for row in zip(*found, strict=True))
-    beside = step / (2.0 * np.pi) * np.sqrt(-2.0 * np.log(np.clip(agreement, RULES.most, 1.0)))  # of a wrapped normal
+    beside = step / (2.0 * np.pi) * np.sqrt(-2.0 * np.log(np.clip(agreement, MOST, 1.0)))  # of a wrapped normal
     return step, np.maximum(noise, np.hypot(step * uniform.std(), beside))
 
 
@@ -161,7 +167,7 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     Readings that are multiples of a step agree in phase when they are wound round a circle of that length.
     """
     there = np.zeros(len(q), dtype=bool)
-    there[1:-1] = np.abs(q[2:] - q[:-2]) > RULES.z * np.sqrt(2) * noise  # readings of one that rests agree
+    there[1:-1] = np.abs(q[2:] - q[:-2]) > SURE * np.sqrt(2) * noise  # readings of one that rests agree
     q = q - q.mean()
     moving = q[there]
     if not there.any() or np.ptp(moving) <= LEAST_LEVELS * FINEST_STEP * noise:
@@ -180,7 +186,7 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     near = best + np.linspace(-1, 1, 41) * spacing
     agree = [_agreement(q, f) for f in near]
     found = float(near[int(np.argmax(agree))])
-    sure = min(max(agree), _agreement(moving, found)) >= RULES.most
+    sure = min(max(agree), _agreement(moving, found)) >= MOST
     return (1.0 / found, max(agree)) if sure else (0.0, 1.0)
 
 
