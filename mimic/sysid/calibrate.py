@@ -183,8 +183,10 @@ def _baseline_names(data: Data, settings: CalibrateSettings) -> tuple[tuple[str,
     names = settings.baseline
     if data.machine.drives.volts is not None:
         names = OF_VOLTAGE_DRIVES if names == CalibrateSettings().baseline else tuple(dict.fromkeys((*names, "motor")))
-    rough = tuple(n for n in names if effect(n).structural or any(p.starts or p.spectral for p in wanted(n)))
-    return tuple(n for n in names if n not in rough), rough
+    rough = [name for name in names if effect(name).structural]
+    for name in names:
+        rough += [name for p in wanted(name) if name not in rough and (p.starts or p.spectral)]
+    return tuple(n for n in names if n not in rough), tuple(dict.fromkeys(rough))
 
 
 def _looked_for(settings: CalibrateSettings, able: Sequence[str]) -> tuple[str, ...]:
@@ -244,7 +246,10 @@ def _found(outcome: Outcome, coarse: BoolArray) -> tuple[Found, ...]:
 
 def _named(parts: Parts, joints: Sequence[str]) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return effects with the names of their joints, none for the whole machine."""
-    return tuple((name, tuple(joints[j] for j in own if j >= 0)) for name, own in parts)
+    named = []
+    for name, own in parts:
+        named.append((name, tuple(joints[j] for j in own if j >= 0)))
+    return tuple(named)
 
 
 def _stages(hunt: Hunt, joints: Sequence[str]) -> tuple[Stage, ...]:
@@ -254,10 +259,10 @@ def _stages(hunt: Hunt, joints: Sequence[str]) -> tuple[Stage, ...]:
         where = _named(((one.name, one.joints),), joints)[0][1]
         candidate = Candidate(name=one.name, joints=where, gain=one.gain, fitted=one.fitted)
         kept.setdefault(one.beside, {}).setdefault(one.name, candidate)
-    return tuple(
-        Stage(beside=tuple(name for name, _ in beside), candidates=tuple(own.values()))
-        for beside, own in sorted(kept.items(), key=lambda item: len(item[0]))
-    )
+    stages = []
+    for beside, own in sorted(kept.items(), key=lambda item: len(item[0])):
+        stages.append(Stage(beside=tuple(name for name, _ in beside), candidates=tuple(own.values())))
+    return tuple(stages)
 
 
 def _effects(outcome: Outcome, coarse: BoolArray) -> EffectSet:

@@ -216,11 +216,10 @@ class Calibration(ShownAsTable):
         """Return everything but the traces as plain data; the keys are described in docs/manual/calibration.md."""
         ends = {name: self._errors(getattr(self, name)) for name in ("nominal", "baseline", "final")}
         own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in (*ends, "traces")}
-        kept = ("name", "joints", "role", "values", "intervals")
         own |= {
             "noise": dict(zip(self.joints, self.noise, strict=True)),
             "errors": ends,
-            "effects": [{key: getattr(e, key) for key in kept} for e in self.effects],
+            "effects": [_fields(e) for e in self.effects],
             "correlations": [] if self.correlations is None else self.correlations.pairs(CORRELATED),
         }
         return plain({"format": FORMAT, **own})
@@ -231,3 +230,7 @@ class Calibration(ShownAsTable):
             values = getattr(errors, side)
             sides[side] = {**dict(zip(self.joints, values, strict=True)), "all": Errors.total(values)}
         return sides
+
+
+def _fields(effect: Any) -> dict[str, Any]:
+    return {key: getattr(effect, key) for key in ("name", "joints", "role", "values", "intervals")}

@@ -485,5 +485,8 @@ def without(model: Model, null: Model, name: str, joints: tuple[int, ...]) -> Mo
 def describe(model: Model) -> str:
     """Return the effects of a model in words."""
     joints = model.data.machine.joints
-    said = [name + ("" if own == (-1,) else f" ({', '.join(joints[j] for j in own)})") for name, own in model.effects]
+    said = []
+    for name, own in model.effects:
+        where = ", ".join(joints[j] for j in own if j >= 0)
+        said.append(f"{name} ({where})" if where else name)
     return " + ".join(said) or "nothing"

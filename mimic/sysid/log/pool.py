@@ -110,7 +110,8 @@ BETWEEN = 1.0
 ENABLED = "enabled"
 """Column, of all joints or with a joint's name after a point: 0 while the drive is switched off."""
 
-PAYLOAD, VOLTAGE = "payload", "voltage"
+PAYLOAD = "payload"
+VOLTAGE = "voltage"
 """Metadata: mass at the end of links [kg], and supply voltage [V], which is a column too."""
 
 
