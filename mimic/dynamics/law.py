@@ -145,6 +145,7 @@ class Law:
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
         self._slope = self._limits[0] / (self._limits[2] - self._limits[1])
+        self._most: Any = None
         self._exact = max(EXACT, 4.0 * float(xp.finfo(self._zero.dtype).eps))
         self.rotor: Any = self._rotor_constants() if has & {"backlash", "compliance"} else None
         self._inertia = self._zero + self.get("armature", "inertia")
@@ -213,6 +214,10 @@ class Law:
     def _stall(self) -> Any:
         """Return the torque of voltage drives at rest with full duty (N, J)."""
         return self._zero + self._d.volts * self.get("motor", "kt") / self.get("motor", "resistance")
+
+    def limit_torque(self, most: Any) -> None:
+        """Let the drives give no more than this from now on (N, J) [N m], whatever they could."""
+        self._most = most
 
     def reset(self, q: Any, dq: Any, heat: Any = None) -> None:
         """Begin a run at encoder readings q and velocities dq (N, J); heat is the mean square torque so far."""
@@ -451,6 +456,9 @@ class Law:
             brake = self._kd * omega
             low = xp.maximum(low, -stall - brake)
             high = xp.minimum(high, stall - brake)
+        if self._most is not None:
+            low = xp.maximum(low, -self._most)
+            high = xp.minimum(high, self._most)
         return low, high
 
     def _supply_left(self, asked: Any, omega: Any) -> Any:
@@ -467,6 +475,8 @@ class Law:
         (torque, _, speed) = self._limits
         fast = xp.abs(omega)
         size = xp.abs(asked)
+        if self._most is not None:
+            size = xp.minimum(size, self._most)
         size = xp.where(asked * omega > 0, size, zero)
         rise = speed * slope
         begin = fast * slope
