@@ -173,7 +173,7 @@ def test_calibration_of_a_probed_leg_that_lacks_nothing_names_nothing(descriptio
     assert result.names == ()
     assert np.sqrt(np.mean(result.final.held_out**2)) < 2e-4
     values = {e.name: e.values for e in result.effects}
-    assert values["viscous"]["coefficient"] == pytest.approx(machine.model.dof_damping, rel=0.1)
+    assert values["viscous"]["coefficient"] == pytest.approx(machine.model.dof_damping, rel=0.15)
     assert values["link_mass"]["factor"][1:] == pytest.approx([1.0, 1.0], abs=0.06)
 
 

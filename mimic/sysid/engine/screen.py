@@ -319,17 +319,22 @@ class Screen:
 
 
 def _groups(name: str, own: Mapping[int, tuple[float, Place]], screen: Screen) -> list[tuple[int, ...]]:
-    """Return the joints in which an effect is tried: each alone and all together; whole chains where they share it."""
-    chain = np.asarray(screen.model.data.machine.chain)
+    """Return the joints in which an effect is tried: all together, those at one place of their chains, and each alone;
+    whole chains where they share it.
+    """
+    machine = screen.model.data.machine
     every = tuple(sorted(own))
     if not every:
         return []
-    if CATALOGUE[name].chain_shared and CATALOGUE[name].scope == "joint":
-        groups = {every}
-        for i in every:
-            groups.add(tuple(j for j in every if chain[j] == chain[i]))
-        return sorted(groups)
-    return sorted({(j,) for j in every} | {every})
+    groups = {every}
+    if every == (-1,):
+        return [every]
+    shared = CATALOGUE[name].chain_shared
+    for i in every:
+        alike = machine.chain if shared else machine.place
+        groups.add(tuple(j for j in every if alike[j] == alike[i]))
+        groups |= set() if shared else {(i,)}
+    return sorted(groups)
 
 
 def with_effect(model: Model, found: Found) -> Model:
