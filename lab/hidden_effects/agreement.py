@@ -1,8 +1,8 @@
-"""Do the two physics agree? mimic's replay with the true numbers against the truth, in noise floors.
+"""Do the two physics agree? mimic's prediction with the true numbers against the truth, in noise floors.
 
-Each effect at the greatest size of the table, logs of 16 s without noise, replay in steps of 0.5 ms. "Without" is the
-replay with the baseline parameters only. What is left with the true numbers is the step of the replay, and any
-disagreement about what an equation of the catalogue means.
+Each effect at the greatest size of the table, logs of 16 s without noise, predicted to the end of blocks. "Without" is
+the prediction with the baseline parameters only. What is left with the true numbers is the step of the prediction, and
+any disagreement about what an equation of the catalogue means.
 
     python -m lab.hidden_effects.agreement [NAME ...] > table.md
 """
@@ -20,11 +20,10 @@ from lab.hidden_effects.scenarios import STRENGTHS, Scenario, build, reachable
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import hung_robot
-from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import load_description
-from mimic.sysid.fit.replay import Replay
+from mimic.sysid.predict import predict
 
 
 def true_effects(machine: Machine, hidden: bool) -> EffectSet:
@@ -36,18 +35,16 @@ def true_effects(machine: Machine, hidden: bool) -> EffectSet:
     return EffectSet((*declared, *(machine.hidden if hidden else ())))
 
 
-def disagreement(scenario: Scenario, timestep: float = 0.0005) -> tuple[FloatArray, FloatArray]:
-    """Return what the replay leaves without and with the hidden effects, each (12,) in noise floors."""
+def disagreement(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+    """Return what the prediction leaves without and with the hidden effects, each (12,) in noise floors."""
     built = build(scenario)
     truth = simulate(built.machine, built.motion, built.seed)
     log = JointLog(joints=JOINTS, t=truth.t, q=truth.q, q_des=truth.q_des)
     robot = hung_robot(load_description("cyberdog2"))
-    replay = Replay(robot, log, timestep=timestep, threads=1)
     left = []
     for hidden in (False, True):
-        residual = replay.run(parameters_of(true_effects(built.machine, hidden), robot), 1).residual[0]
-        residual = residual[np.isfinite(residual).all(1)].astype(np.float64)
-        left.append(np.sqrt((residual**2).mean(0)) / FLOOR)
+        residual = predict(log, robot, true_effects(built.machine, hidden))
+        left.append(np.sqrt(np.nanmean(residual**2, axis=0)) / FLOOR)
     return left[0], left[1]
 
 

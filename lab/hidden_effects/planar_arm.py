@@ -222,17 +222,16 @@ def main() -> None:
                     log = arm_log(CLOCKS[clock], EFFECTS[effect], seconds=a.seconds, seed=seed)
                     began = time.monotonic()
                     made = calibrate(log, model, CalibrateSettings(threads=1))
-                    found = [s.added for s in made.stages if s.added not in ("", "baseline")]
                     delay = next(e for e in made.effects if e.name == "delay")
                     low, high = delay.intervals["time"][0]
-                    left = made.stages[-1].errors.held_out / made.noise
-                    also = [n for s in made.stages for n in s.alternatives]
+                    left = made.final.held_out / made.noise
+                    also = [n for one in made.alternatives for n, _ in one.effects]
                     print(
-                        f"{effect:20} {clock:7} {seed} found {', '.join(found) or '-'}"
+                        f"{effect:20} {clock:7} {seed} found {', '.join(made.names) or '-'}"
                         f"{' (or ' + ', '.join(also) + ')' if also else ''}; left {left.max():.2f} floors"
                         f" ({1e3 * (left * made.noise).max():.2f} mrad); delay {1e3 * delay.values['time'][0]:.2f}"
                         f" ({1e3 * low:.2f} to {1e3 * high:.2f}) ms {made.metadata['sending_times']};"
-                        f" {'; '.join(dict.fromkeys(u.verdict for u in made.unexplained))};"
+                        f" {'explained' if made.explained else 'not explained'};"
                         f" {time.monotonic() - began:.0f} s",
                         flush=True,
                     )

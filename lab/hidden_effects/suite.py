@@ -33,7 +33,6 @@ import numpy as np
 
 from lab.hidden_effects.generator import CLOCKS, FINE_RATE, FLOOR, Machine, Truth, measured, read_by, simulate
 from lab.hidden_effects.scenarios import Built, Scenario, balanced, build, for_choosing, ordered
-from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import MachineModel, hung_robot, read_machine
 from mimic.io.joint_log import JointLog
@@ -104,26 +103,6 @@ def truth_record(machine: Machine) -> dict[str, Any]:
 
 def result_record(result: Calibration) -> dict[str, Any]:
     """Return what the calibration says, as plain numbers."""
-    stages = [
-        {
-            "added": s.added,
-            "train": Errors.total(s.errors.train),
-            "held_out": s.errors.held_out.tolist(),
-            "rivals": list(s.alternatives),
-            "candidates": [
-                {
-                    "name": c.name,
-                    "gain": c.gain,
-                    "z": c.z,
-                    "improvement": c.improvement,
-                    "why": c.why,
-                    "joints": c.joints,
-                }
-                for c in s.candidates[:6]
-            ],
-        }
-        for s in result.stages
-    ]
     effects = [
         {
             "name": e.name,
@@ -135,27 +114,32 @@ def result_record(result: Calibration) -> dict[str, Any]:
         for e in result.effects
     ]
     return {
-        "named": [s.added for s in result.stages if s.added in CATALOGUE and s.added not in BASELINE],
+        "named": list(result.names),
+        "rivals": _rivals(result),
+        "explained": result.explained,
         "belongs": result.log_matches_model,
         "noise": result.noise.tolist(),
         "nominal": Errors.total(result.nominal.held_out),
-        "stages": stages,
+        "baseline": result.baseline.held_out.tolist(),
+        "final": result.final.held_out.tolist(),
+        "tried": plain(result.tried),
         "effects": effects,
-        "unexplained": [
-            {
-                "joint": r.joint,
-                "ratio": r.ratio,
-                "verdict": r.verdict,
-                "state_r2": r.state_r2,
-                "peak_hz": r.peak_hz,
-                "peak_ratio": r.peak_ratio,
-            }
-            for r in result.unexplained
-        ],
+        "unexplained": [{**plain(r), "explained": r.explained} for r in result.unexplained],
         "sentence": result.sentence,
         "warnings": list(result.warnings),
-        "replays": result.replays,
+        "passes": result.passes,
     }
+
+
+def _rivals(result: Calibration) -> dict[str, list[str]]:
+    """Return for each name those that stand in its place in alternatives of as many effects."""
+    found: dict[str, list[str]] = {name: [] for name in result.names}
+    for other in result.alternatives:
+        names = {name for name, _ in other.effects}
+        gone = set(result.names) - names
+        if len(gone) == 1 and len(names) == len(result.names):
+            found[gone.pop()] += sorted(names - set(result.names))
+    return found
 
 
 def change(truth: Truth, other: Truth) -> list[float]:

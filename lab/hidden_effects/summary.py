@@ -91,7 +91,7 @@ def named(r: Record) -> set[str]:
 
 def claimed(r: Record) -> list[set[str]]:
     """Return each accepted name with its rivals."""
-    return [{s["added"], *s["rivals"]} for s in r["stages"] if s["added"] in named(r)]
+    return [{name, *r["rivals"].get(name, ())} for name in r["named"] if name in named(r)]
 
 
 def right(r: Record) -> bool:
@@ -133,7 +133,7 @@ def marked(r: Record) -> bool:
     if "error" in r:
         return False
     affected = {j for joints in r["where"].values() for j in joints}
-    return any(u["verdict"] != "explained" for u in r["unexplained"] if u["joint"] in affected) or not r["belongs"]
+    return any(not u["explained"] for u in r["unexplained"] if u["joint"] in affected) or not r["belongs"]
 
 
 def unexplained(r: Record) -> bool:
@@ -148,15 +148,15 @@ def shown(r: Record, name: str = "") -> bool:
 
 
 def error_after(r: Record) -> float:
-    """Held-out error of the last stage over the true noise floor."""
-    return float(np.sqrt(np.mean(np.square(r["stages"][-1]["held_out"])))) / r["floor"]
+    """Held-out error of what was found over the true noise floor."""
+    return float(np.sqrt(np.mean(np.square(r["final"])))) / r["floor"]
 
 
 def declared_error(r: Record) -> float:
     """Held-out error of the baseline model over the true noise floor, over the affected joints."""
     there = list(r.get("joints", JOINTS))
     index = sorted({there.index(j) for joints in r["where"].values() for j in joints if j in there})
-    return float(np.sqrt(np.mean(np.square(r["stages"][0]["held_out"])[index]))) / r["floor"]
+    return float(np.sqrt(np.mean(np.square(r["baseline"])[index]))) / r["floor"]
 
 
 def coverage(records: Iterable[Record], declared: bool) -> list[tuple[str, bool]]:

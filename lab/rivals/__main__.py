@@ -54,7 +54,7 @@ def cases(folder: Path) -> dict[str, Callable[[], Case]]:
 def error_of(case: Case, found: Found) -> float:
     """Return the error of the log that was not seen, root mean square over all joints."""
     machine = as_logged(case.machine, case.test.metadata)
-    residual = predict(case.test, machine, found.effects, threads=1)[case.test.t - case.test.t[0] >= case.judged_from]
+    residual = predict(case.test, machine, found.effects)[case.test.t - case.test.t[0] >= case.judged_from]
     return float(np.sqrt(np.nanmean(residual**2)))
 
 

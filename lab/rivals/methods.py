@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,21 +17,30 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, as_logged
+from mimic.dynamics.servo import neutral
 from mimic.errors import MimicError
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.fit.baseline import problem_of, step_of
-from mimic.sysid.fit.problem import Point, Problem
-from mimic.sysid.log.pool import pool
+from mimic.sysid.engine.data import data_of
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.likelihood import FOLLOWING
+from mimic.sysid.engine.model import Setting, setting_of
 
 SETTINGS = CalibrateSettings(threads=1)
+
+Point = dict[tuple[str, str], FloatArray]
+"""Values of parameters, of each joint or of the machine."""
+
 PACE = ("coulomb", "viscous", "armature", "encoder_offset", "delay")
 """What PACE fits: friction, damping, rotor inertia and offset of each joint, and one delay. Source: Bjelonic 2025."""
 
 
 EXACT = {"x_scale": "jac", "gtol": 1e-12}
 """Settings of mujoco.sysid: with those that it comes with, a fit in newtons and metres ends after one step."""
+
+BATCH = 64
+"""Samples judged together."""
 
 UNSTABLE = 1e3
 """Log of the sum of squares of a replay that diverges."""
@@ -56,28 +65,28 @@ def as_given(case: Case) -> Found:
 def of_mimic(case: Case) -> Found:
     """``mimic calibrate``."""
     made = calibrate(case.fitted, case.machine, SETTINGS)
-    named = tuple(s.added for s in made.stages if s.added in CATALOGUE and s.added not in BASELINE)
-    return Found(effects=made.effects, names=named, replays=made.replays)
+    return Found(effects=made.effects, names=made.names, replays=made.passes)
 
 
 def of_baseline(case: Case) -> Found:
     """Its first stage: the baseline parameters by least squares."""
     made = calibrate(case.fitted, case.machine, CalibrateSettings(threads=1, most_effects=0))
-    return Found(effects=made.effects, names=None, replays=made.replays)
+    return Found(effects=made.effects, names=None, replays=made.passes)
 
 
 def of_random(case: Case, samples: int = 8192) -> Found:
     """The paper's search: the best of so many random samples of the baseline parameters."""
-    problem, keys = _problem(case, BASELINE)
+    problem = setting_of(data_of(case.fitted, case.machine))
+    keys = _keys(BASELINE)
     rng = np.random.default_rng(0)
     best, winner = np.inf, np.zeros(0)
     size = sum(problem_rows(case, keys).values())
-    for begin in range(0, samples, problem.replay.sets_per_batch):
-        x = rng.random((min(problem.replay.sets_per_batch, samples - begin), size))
+    for _ in range(0, samples, BATCH):
+        x = rng.random((BATCH, size))
         squares = np.nan_to_num(_squares(problem, [_point(case, keys, row) for row in x]), nan=np.inf)
         if squares.min() < best:
             best, winner = float(squares.min()), x[int(squares.argmin())]
-    return Found(effects=_effects(case, _point(case, keys, winner)), names=None, replays=problem.replay.replays)
+    return Found(effects=_effects(case, _point(case, keys, winner)), names=None, replays=problem.passes.count)
 
 
 def of_cma(case: Case, replays: int = 4096, population: int = 64) -> Found:
@@ -86,7 +95,8 @@ def of_cma(case: Case, replays: int = 4096, population: int = 64) -> Found:
         import cma
     except ModuleNotFoundError:
         raise MimicError("cma is not installed; install it with: pip install cma") from None
-    problem, keys = _problem(case, PACE)
+    problem = setting_of(data_of(case.fitted, case.machine))
+    keys = _keys(PACE)
     size = sum(problem_rows(case, keys).values())
     search = cma.CMAEvolutionStrategy(
         np.full(size, 0.4),
@@ -98,21 +108,23 @@ def of_cma(case: Case, replays: int = 4096, population: int = 64) -> Found:
         squares = _squares(problem, [_point(case, keys, np.asarray(row)) for row in x])
         search.tell(x, np.nan_to_num(np.log(squares), nan=UNSTABLE, posinf=UNSTABLE).tolist())
     found = _point(case, keys, np.asarray(search.result.xbest))
-    return Found(effects=_effects(case, found), names=None, replays=problem.replay.replays)
+    return Found(effects=_effects(case, found), names=None, replays=problem.passes.count)
 
 
-def _problem(case: Case, names: Sequence[str]) -> tuple[Problem, list[tuple[str, str]]]:
-    together = pool(list(case.fitted), case.machine, step_of(case.fitted, SETTINGS))
-    machine = as_logged(case.machine, together.log.metadata)
-    keys = [(n, p.name) for n in names for p in CATALOGUE[n].parameters]
-    problem = problem_of(together, machine, replace(SETTINGS, torque=False))  # both compare positions
-    before = problem.residuals([Point.of(names, machine)])[0]
-    return problem.without(~np.isfinite(before).all(-1)), keys
+def _keys(names: Sequence[str]) -> list[tuple[str, str]]:
+    return [(n, p.name) for n in names for p in CATALOGUE[n].parameters]
 
 
-def _squares(problem: Problem, points: Sequence[Point]) -> FloatArray:
-    """Return the sum of squares in the fitted blocks (N,); inf where a replay blew up."""
-    return np.array([problem.block_squares(r)[problem.blocks.train].sum() for r in problem.uncorrected(points)])
+def _squares(problem: Setting, points: Sequence[Point]) -> FloatArray:
+    """Return the sum of squares to the end of blocks (N,), beside which nothing is fitted."""
+    tables = []
+    for point in points:
+        tables.append(problem.blank.copy())
+        for key, row in point.items():
+            tables[-1][ROW[key]] = row
+    errors = problem.passes.run(tables, problem.gains.of(FOLLOWING * problem.gains.torque))
+    counts = problem.data.counts
+    return np.array([np.square(e[counts]).sum() for e in errors])
 
 
 def problem_rows(case: Case, keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], int]:
@@ -122,17 +134,18 @@ def problem_rows(case: Case, keys: Sequence[tuple[str, str]]) -> dict[tuple[str,
 
 def _point(case: Case, keys: Sequence[tuple[str, str]], x: FloatArray) -> Point:
     """Return the parameters at a place in the unit cube."""
-    values, at = {}, 0
+    values: Point = {}
+    at = 0
     for key, rows in problem_rows(case, keys).items():
         low, high = case.ranges[key]
         values[key] = low + (high - low) * np.clip(x[at : at + rows], 0.0, 1.0)
         at += rows
-    return Point(values)
+    return values
 
 
 def _effects(case: Case, point: Point) -> EffectSet:
     named: dict[str, dict[str, FloatArray]] = {}
-    for (name, parameter), row in point.values.items():
+    for (name, parameter), row in point.items():
         named.setdefault(name, {})[parameter] = row
     return EffectSet(
         tuple(
@@ -208,9 +221,9 @@ def _best_delay(case: Case, values: Mapping[tuple[str, str], FloatArray]) -> Poi
 
     The toolbox counts a delay from other moments of a step; only this number is set anew.
     """
-    problem, _ = _problem(case, list(dict.fromkeys(name for name, _ in values)))
+    problem = setting_of(data_of(case.fitted, case.machine))
     low, high = case.ranges["delay", "time"]
-    points = [Point({**values, ("delay", "time"): np.array([d])}) for d in np.linspace(low, high, 121)]
+    points = [{**values, ("delay", "time"): np.array([d])} for d in np.linspace(low, high, 121)]
     return points[int(np.argmin(np.nan_to_num(_squares(problem, points), nan=np.inf)))]
 
 
@@ -299,12 +312,12 @@ def of_sindy(case: Case) -> Found:
     kept = {key: row for key, row in values.items() if key in ALWAYS or key[0] in names}
     kept |= _neutral_rest(kept, case.machine)
     kept["delay", "time"] = np.array([delay])
-    return Found(effects=_effects(case, Point(kept)), names=names, replays=0)
+    return Found(effects=_effects(case, kept), names=names, replays=0)
 
 
-def _neutral_rest(kept: Mapping[tuple[str, str], FloatArray], machine: MachineModel) -> dict:
-    point = Point.of({name for name, _ in kept}, machine)
-    return {key: row for key, row in point.values.items() if key not in kept}
+def _neutral_rest(kept: Point, machine: MachineModel) -> Point:
+    names = {name for name, _ in kept}
+    return {key: neutral(*key, machine) for key in _keys(sorted(names)) if key not in kept}
 
 
 def _regression(motions: Sequence[Motion], j: int) -> tuple[FloatArray, FloatArray, FloatArray]:

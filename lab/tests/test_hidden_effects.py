@@ -45,7 +45,7 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.excitation import Excitation, hung_ranges, probe_targets
 from mimic.records import JOINTS, LEGS
 from mimic.robot.description import load_description
-from mimic.sysid.result import Calibration, Errors, Stage, Traces, UnexplainedResidual
+from mimic.sysid.result import Calibration, Errors, Traces, UnexplainedResidual
 
 DESCRIPTION = load_description("cyberdog2")
 LOW, HIGH, CENTRE = hung_ranges(DESCRIPTION)
@@ -372,23 +372,20 @@ def silent(log) -> Calibration:
     """A calibration that finds nothing."""
     rows = np.zeros((1, 12))
     errors = Errors(train=np.full(12, FLOOR), held_out=np.full(12, FLOOR))
-    rest = tuple(
-        UnexplainedResidual(
-            joint=j, ratio=2.0, state_r2=0.5, depends_on=(), peak_hz=1.0, peak_ratio=1.0, verdict="state-dependent"
-        )
-        for j in JOINTS
-    )
+    rest = tuple(UnexplainedResidual(joint=j, ratio=2.0, torque=0.1, depends_on=()) for j in JOINTS)
     empty = np.zeros(1)
     return Calibration(
         joints=JOINTS,
         unit="rad",
         noise=np.full(12, FLOOR),
         nominal=errors,
-        stages=(Stage(added="baseline", errors=errors),),
+        baseline=errors,
+        final=errors,
+        found=(),
         effects=EffectSet(),
         unexplained=rest,
         sentence="",
-        traces=Traces(t=empty, held_out=empty > 0, q=rows, dq=rows, tau=rows, before=rows, after=rows),
+        traces=Traces(t=empty, q=rows, dq=rows, tau=rows, before=rows, after=rows),
     )
 
 
@@ -429,13 +426,12 @@ def test_a_log_that_takes_too_long_is_an_error_and_the_next_one_is_run(tmp_path)
 
 
 def judged(**values) -> dict:
-    joint = {"joint": "FL_knee", "verdict": "explained"}
-    stages = [{"added": n, "rivals": r, "held_out": [FLOOR] * 12} for n, r in values.pop("stages")]
+    joint = {"joint": "FL_knee", "explained": True}
+    stages = dict(values.pop("stages"))
     return {
         "names": ["cogging"], "where": {"cogging": ["FL_knee"]}, "belongs": True,
         "unexplained": [joint], "floor": FLOOR,
-        "named": [s["added"] for s in stages],
-        "stages": [{"added": "baseline", "rivals": [], "held_out": [FLOOR] * 12}, *stages],
+        "named": list(stages), "rivals": stages, "baseline": [FLOOR] * 12, "final": [FLOOR] * 12,
         **values,
     }  # fmt: skip
 
@@ -449,7 +445,7 @@ def test_judging_separates_right_from_rival_from_wrong():
     assert [summary.right_or_rival(r) for r in (right, rival, more, nothing)] == [True, True, False, False]
     assert [summary.all_found(r) for r in (right, rival, more, nothing)] == [True, False, True, False]
     assert not summary.unexplained(nothing)
-    assert summary.unexplained(judged(stages=[], unexplained=[{"joint": "FL_knee", "verdict": "periodic"}]))
+    assert summary.unexplained(judged(stages=[], unexplained=[{"joint": "FL_knee", "explained": False}]))
     assert not summary.right({"names": ["cogging"], "error": "x"})
     assert summary.right({**more, "small": ["spring"]})
     assert summary.right({**right, "small": ["spring"]})
@@ -513,7 +509,7 @@ def test_the_detection_limit_of_an_effect_is_between_what_is_missed_and_what_is_
             "where": {name: ["FL_hip"]},
             "belongs": True,
             "named": [name] if size > found_from[name] else [],
-            "stages": [{"held_out": [size] * 12}],
+            "baseline": [size] * 12,
             "floor": 1.0,
         }
         for name, row in sizes.items()

@@ -89,11 +89,7 @@ def _show(result: Calibration, written: list[Path]) -> None:
     for text in result.warnings:
         warn(text)
     unit = unit_for(result)
-    stages = {"as given": result.nominal}
-    if result.stages:
-        stages["baseline fitted"] = result.stages[0].errors
-    if len(result.stages) > 1:
-        stages["final"] = result.stages[-1].errors
+    stages = {"as given": result.nominal, "baseline fitted": result.baseline, "final": result.final}
     columns = {name: e.held_out for name, e in stages.items()}
     show_errors("Held-out error", result.joints, {**columns, "noise floor": result.noise}, unit)
     if result.logs:
@@ -105,7 +101,7 @@ def _show(result: Calibration, written: list[Path]) -> None:
     console.print(result.sentence, style="bold", markup=False, soft_wrap=True)
     for line in result.experiments:
         note(f"log next: {line}")
-    note(f"wrote {', '.join(map(str, written))} ({result.replays} replays, {result.seconds:.0f} s)")
+    note(f"wrote {', '.join(map(str, written))} ({result.passes} passes, {result.seconds:.0f} s)")
 
 
 def _show_logs(result: Calibration, unit: Unit) -> None:
@@ -144,10 +140,9 @@ def _found(result: Calibration) -> dict[str, str]:
     from mimic.dynamics.catalogue import CATALOGUE, unit_of
     from mimic.view.report.svg import number
 
-    added = {s.added for s in result.stages}
     rows = {}
     for e in result.effects:
-        if e.name not in added:
+        if e.name not in result.names:
             continue
         parts = []
         for name, values in e.values.items():

@@ -61,7 +61,6 @@ def replay(
     effects: tuple[Path, ...] = (),
     model: Path | None = None,
     whole: Annotated[bool, Parameter(negative="")] = False,
-    threads: int = 0,
     out: o.Out = None,
 ) -> int:
     """Show how well models predict a log, such as one that was not calibrated from; nothing is fitted.
@@ -75,9 +74,7 @@ def replay(
     model
         MJCF of the machine, base fixed; default: the suspended CyberDog 2.
     whole
-        Replay the log in one piece; default: in pieces of 6 s, each from the measured positions.
-    threads
-        Threads; 0: one per core.
+        Replay the log in one piece; default: in blocks of 1.5 s, each from where the readings before say it is.
     out
         JSON file for the errors.
     """
@@ -85,7 +82,7 @@ def replay(
     from mimic.flows.machine_log import NO_EFFECTS, predict_log
     from mimic.view.report.plots import unit_of_size
 
-    found = predict_log(log, effects, model, whole=whole, threads=threads, out=out, reporter=ConsoleReporter())
+    found = predict_log(log, effects, model, whole=whole, out=out, reporter=ConsoleReporter())
     for text in found.warnings:
         warn(text)
     unit = unit_of_size(max(e["all"] for e in found.errors.values()), found.unit)

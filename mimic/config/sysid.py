@@ -20,12 +20,8 @@ class CalibrateSettings:
     drive: Literal["log", "torque", "voltage"] = "log"
     """What the drives control: log takes it from the log's metadata; voltage, as in hobby servos, needs gain, voltage,
     kt and resistance there."""
-    most_effects: int = 5
+    most_effects: int = 4
     """Maximum number of effects to report."""
-    torque: bool = True
-    """Also fit measured torque, if the log has it."""
-    timestep: float = 0.0
-    """Physics step of a replay [s]; 0: the longest step up to 2.5 ms that divides the time between readings."""
     threads: int = 0
     """Threads; 0: one per core."""
 
@@ -35,7 +31,6 @@ class CalibrateSettings:
                 raise ConfigError(f"--{option} names an effect twice: {', '.join(names)}")
         check_range("most-effects", self.most_effects, 0, 20)
         check_range("threads", self.threads, 0, 1024)
-        check_range("timestep", self.timestep, 0.0, 0.005, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -146,7 +146,6 @@ class Law:
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
         self._slope = self._limits[0] / (self._limits[2] - self._limits[1])
         self._most: Any = None
-        self._supply: Any = 1.0
         self._exact = max(EXACT, 4.0 * float(xp.finfo(self._zero.dtype).eps))
         self.rotor: Any = self._rotor_constants() if has & {"backlash", "compliance"} else None
         self._inertia = self._zero + self.get("armature", "inertia")
@@ -215,18 +214,6 @@ class Law:
     def _stall(self) -> Any:
         """Return the torque of voltage drives at rest with full duty (N, J)."""
         return self._zero + self._d.volts * self.get("motor", "kt") / self.get("motor", "resistance")
-
-    def set_supply(self, share: Any) -> None:
-        """Let voltage drives have this share of their supply from now on, (N, 1) or a number."""
-        self._supply = share
-
-    def scale_supply(self, share: Any) -> None:
-        """Let the supply have this share of its voltage from now on (N, 1): the torque-speed line moves with it."""
-        torque, flat, speed = self._limits
-        stall = torque * speed / (speed - flat) * share
-        torque = self.xp.minimum(torque, stall)
-        self._limits = torque, speed * share * (1.0 - torque / stall), speed * share
-        self._slope = stall / self._limits[2]
 
     def limit_torque(self, most: Any) -> None:
         """Let the drives give no more than this from now on (N, J) [N m], whatever they could."""
@@ -351,8 +338,6 @@ class Law:
             ctrl = ctrl + held * (s["goal"] - ctrl)
             parts = [(share, target + (1 - held) * (part - target)) for share, part in parts]
             s["goal"] = wanted + left * (s["goal"] - wanted)
-        if self._d.volts is not None:
-            kp = kp * self._supply
         if has & {"kt_drift", "kt_heat"}:
             factor = 1.0 + get("kt_drift", "rate") * (time / 100.0)
             if "heat" in s:
@@ -467,7 +452,7 @@ class Law:
         high = xp.minimum(xp.maximum((speed - omega) * slope, self._zero), torque)
         low = -xp.minimum(xp.maximum((speed + omega) * slope, self._zero), torque)
         if self._d.volts is not None:
-            stall = self._stall() * self._supply
+            stall = self._stall()
             brake = self._kd * omega
             low = xp.maximum(low, -stall - brake)
             high = xp.minimum(high, stall - brake)

@@ -1,6 +1,6 @@
 """How the law of the drives enters the physics: one bare motor for each joint, and what is written once.
 
-The same for a batch of hung machines (calibration), the simulated robot, and training worlds: an `EffectSet`
+The same for the simulated robot and training worlds: an `EffectSet`
 becomes parameters (`parameters_of`), these become a `mimic.dynamics.law.Law`, whose inputs a
 `Servo` writes at every step.
 """
@@ -8,18 +8,16 @@ becomes parameters (`parameters_of`), these become a `mimic.dynamics.law.Law`, w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, read_effects
-from mimic.dynamics.law import OF_DRIVES, Law, Parameters, StepInputs
-from mimic.dynamics.machine import Inertias, MachineModel, changed_inertias, inertias, tilted_gravity
+from mimic.dynamics.law import OF_DRIVES, Parameters, StepInputs
+from mimic.dynamics.machine import Inertias, MachineModel, changed_inertias
 from mimic.errors import ConfigError
 from mimic.records import FloatArray
 
@@ -35,44 +33,12 @@ class Servo:
         self.needed = needed
         """Torque that the links need against gravity and for their motion at this speed (N, J): only read [N m]."""
 
-    @classmethod
-    def of_batch(cls, batch: Batch) -> Servo:
-        """Return the fields of a batch of machines with a held base."""
-        return cls(
-            ctrl=batch.bind("ctrl"),
-            applied=batch.bind("qfrc_applied"),
-            inertia=batch.expand("dof_armature"),
-            friction=batch.expand("dof_frictionloss"),
-            needed=batch.bind("qfrc_bias"),
-        )
-
     def write(self, inputs: StepInputs) -> None:
         """Hand over the inputs of the next step."""
         self._ctrl[:] = inputs.torque
         self._inertia[:] = inputs.inertia
         self._friction[:] = inputs.friction
         self._applied[:] = inputs.applied
-
-
-def static_fields(batch: Batch, machine: MachineModel, law: Law, p: Parameters) -> None:
-    """Write what the effects change in the models of a batch once: damping, armature, masses, gravity."""
-    model = machine.model
-    damping = batch.expand("dof_damping")
-    damping[:] = p.get(("viscous", "coefficient"), model.dof_damping[None])
-    armature = batch.expand("dof_armature")
-    armature[:] = p.get(("armature", "inertia"), model.dof_armature[None])
-    if law.rotor is not None:
-        armature[law.rotor["there"]] = 0.0
-    parts = inertial_parts(p)
-    if any(part is not None for part in parts):
-        made = inertias(machine, *parts)
-        for f in fields(made):
-            batch.expand(f"body_{f.name}")[:] = getattr(made, f.name)
-    gravity = batch.expand("opt.gravity")
-    gravity[:] = model.opt.gravity
-    if ("base_tilt", "roll") in p:
-        gravity[:] = tilted_gravity(p["base_tilt", "roll"][:, 0], p["base_tilt", "pitch"][:, 0], model.opt.gravity)
-    batch.set_const()
 
 
 def static_model(model: mujoco.MjModel, machine: MachineModel, p: Parameters) -> None:

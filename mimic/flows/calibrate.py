@@ -83,7 +83,7 @@ def calibrate(
     names = _names(given)
     kind = [] if settings.drive == "log" else [f"drive={settings.drive}"]
     said = _said([*notes, *kind], given)
-    with reporter.activity("replays") as show:
+    with reporter.activity("passes") as show:
         checked = _checked_logs(given, names, said, model, show)
         usable = [check.log for check, _, _ in checked]
         machine = checked[0][1]

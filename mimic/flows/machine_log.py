@@ -44,7 +44,6 @@ def predict_log(
     model: str | Path | MachineModel | None = None,
     *,
     whole: bool = False,
-    threads: int = 0,
     out: Path | None = None,
     reporter: Reporter | None = None,
 ) -> Predictions:
@@ -54,8 +53,7 @@ def predict_log(
         log: Log of the machine.
         effects: effects.toml files of calibrations, to compare them; the model as given always comes first.
         model: MJCF whose base is held; by default the CyberDog 2 hung up.
-        whole: Replay the log in one piece; otherwise in pieces of 6 s that each begin with a measured position.
-        threads: Threads; 0 takes one for each core.
+        whole: Replay the log in one piece; otherwise to the end of blocks of 1.5 s.
         out: Also write the errors into this JSON file.
         reporter: Receives progress.
 
@@ -70,13 +68,11 @@ def predict_log(
     from mimic.sysid.predict import predict
     from mimic.sysid.result import Errors
 
-    if not 0 <= threads <= 1024:
-        raise ConfigError(f"threads is {threads}; it must be from 0 to 1024")
     if len(set(effects)) < len(effects):
         raise ConfigError(f"--effects names a file twice: {', '.join(map(str, effects))}")
     if out is not None:
         store.check_writable(out.parent)
-    with (reporting(reporter)).activity("replays") as show:
+    with (reporting(reporter)).activity("passes") as show:
         show("reading the log", 0)
         sets = {NO_EFFECTS: EffectSet(), **{str(file): read_effects(file) for file in effects}}
         check, machine, warnings = checked_log(log, model, show)
@@ -85,7 +81,7 @@ def predict_log(
         errors: dict[str, Any] = {}
         for name, held in sets.items():
             show("replaying the model as given" if name == NO_EFFECTS else f"replaying it with {name}", 0)
-            residual = predict(readings, machine, held, whole=whole, threads=threads)
+            residual = predict(readings, machine, held, whole=whole)
             known = np.isfinite(residual).all(axis=1)
             squares, size = ((x[known] ** 2).mean(axis=0) for x in (residual, readings.q))
             relative = np.sqrt(squares / np.maximum(size, 1e-300))

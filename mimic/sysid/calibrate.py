@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,44 +12,54 @@ from threadpoolctl import threadpool_limits
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE, effect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.dynamics.machine import UNLIMITED, MachineModel, as_logged
+from mimic.dynamics.machine import UNLIMITED, MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.records import BoolArray
-from mimic.sysid.fit.baseline import (
-    compared,
-    errors_by_log,
-    errors_of,
-    errors_of_unseen,
-    fit_sending_times,
-    problem_of,
-    step_of,
+from mimic.jobs.local import cores
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.engine.data import Data, data_of
+from mimic.sysid.engine.effects import covariance, dependences, effects_of, motion_of
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.model import Model, setting_of
+from mimic.sysid.engine.predictor import compiled
+from mimic.sysid.engine.screen import applicable, wanted
+from mimic.sysid.engine.search import (
+    Hunt,
+    Outcome,
+    Parts,
+    baseline,
+    by_log,
+    fitted_baseline,
+    search,
+    spread,
 )
-from mimic.sysid.fit.least_squares import MOST_STEPS, Fit, correlations, deviations, fit, fit_all, fitting
-from mimic.sysid.fit.problem import FreeParameter, Point, Problem
 from mimic.sysid.log.checks import targets_match_log
+from mimic.sysid.log.noise import MOST
 from mimic.sysid.log.pool import pool
-from mimic.sysid.result import RULES, Calibration, Errors, LogErrors, Traces
-from mimic.sysid.select.encoders import as_read, coarse_encoders, with_encoders
-from mimic.sysid.select.models import FittedModel, Selection
-from mimic.sysid.select.starts import predicted, starts_of
-from mimic.sysid.unexplained import (
-    experiments,
-    next_logs,
-    no_match,
-    of_baseline,
-    sentence,
-    stopped_at,
-    unexplained_residuals,
+from mimic.sysid.result import (
+    Alternative,
+    Calibration,
+    Candidate,
+    Correlations,
+    Errors,
+    Found,
+    LogErrors,
+    Stage,
+    Traces,
+    UnexplainedResidual,
 )
+from mimic.sysid.sentences import fall, next_logs, no_match, sentence
 
 OF_VOLTAGE_DRIVES = ("coulomb", "viscous", "delay", "motor", "armature")
 """Their baseline parameters: motor constants scale all torques, so that masses must be known, and behind the gear of a
 hobby servo the rotor is most of the inertia."""
 
+ROUNDING = 0.25
+"""Share of what is left of a joint that its encoder must round off to be called coarse."""
+
 Progress = Callable[[str, int], None]
-"""Called with what is being done and the number of replays so far."""
+"""Called with what is being done and the number of passes over the logs so far."""
 
 
 def check_names(settings: CalibrateSettings) -> None:
@@ -83,241 +92,280 @@ def calibrate(
         settings: How.
         held_out: Further logs, which are only predicted.
         names: Of all logs, for messages and the result.
-        progress: Called with what is being done and the number of replays so far.
+        progress: Called with what is being done and the number of passes over the logs so far.
 
     Raises:
         CalibrationError: If logs and model do not fit together in joints, a log cannot be used, logs contradict each
             other, or the model has a number that is not fitted so large.
         ConfigError: If the settings name an effect that does not exist.
     """
-    report, began = progress or (lambda text, replays: None), time.monotonic()
+    began = time.monotonic()
     check_names(settings)
     logs = [one.of(model.joints) for one in ([log] if isinstance(log, JointLog) else log)]
     others = [one.of(model.joints) for one in held_out]
     called = tuple(names) or tuple(f"log {i + 1}" for i in range(len(logs) + len(others)))
     if others:
-        pool([*logs, *others], model, 1.0, called)  # they may contradict each other
-    together = pool(logs, model, step_of(logs, settings), called[: len(logs)])
-    log = together.log
-    machine = as_logged(model, log.metadata, by_force=log.q_des is None)
-    if machine.drives.volts is not None and settings.baseline == CalibrateSettings().baseline:
-        settings = replace(settings, baseline=OF_VOLTAGE_DRIVES)
-    elif machine.drives.volts is not None and "motor" not in settings.baseline:
-        settings = replace(settings, baseline=(*settings.baseline, "motor"))
-    problem = problem_of(together, machine, settings)
-    start = Point.of(settings.baseline, machine)
-    _check_bounds(start, machine)
-    report("replaying", 0)
-    first = problem.residuals([start])[0]
-    problem = problem.without(~np.isfinite(first).all(-1))
-    nominal = errors_of(problem, first)
+        pool([*logs, *others], model, called)  # they may contradict each other
+    data = data_of(logs, model, called[: len(logs)])
+    plain, given = _baseline_names(data, settings)
+    _check_bounds(plain, data.machine)
+    setting = setting_of(data, settings.threads or cores())
 
-    steps = itertools.count(1)
+    def say(text: str) -> None:
+        if progress is not None:
+            progress(text, setting.passes.count)
 
-    def tick(text: str) -> None:
-        step = next(steps)  # nobody knows how many effects will be found
-        done = step / (step + max(settings.most_effects, 1))
-        report(f"{text} (about {100 * done:.0f} % done)", problem.replay.replays)
-
-    before = _baseline(problem, settings, tick)
-    problem = before.problem
-    spread = np.nanstd(log.q, axis=0)
-    spread = np.maximum(spread, problem.noise[: len(spread)])
-    error = Errors.total(errors_of(problem, before.fitted.residual).train / spread)
-    follows, why = targets_match_log(log)
-    log_matches_model = follows and error < RULES.most
-    final, stages = before, before.stages(())[:1]
-    residual, coarse = before.fitted.residual, np.zeros(len(machine.joints), dtype=bool)
-    if log_matches_model:
-        before = final = _refined(before, tick)
-        stages, residual = before.stages(())[:1], before.fitted.residual
-        if settings.most_effects:
-            final, last = Selection(settings=settings, tick=tick).run(before)
-            final = _no_worse(final, before)
-            before = before if final.added else final
-            stages, residual = final.stages(last), final.fitted.residual
-            if (coarse := coarse_encoders(final)).any():
-                tick("adding encoder rounding")
-                residual = as_read(final, coarse)
-                stages = with_encoders(final, stages, coarse, residual)
-    unseen: tuple[LogErrors, ...] = ()
-    if len(logs) > 1 or others:
-        tick("predicting each log")
-        if others:
-            apart = pool(others, model, step_of(others, settings), called[len(logs) :])
-            unseen = errors_of_unseen(problem_of(apart, machine, settings), before.fitted, final.fitted)
-        done = replace(final.fitted, residual=residual)
-        unseen = (*errors_by_log(final.problem, before.fitted, done, final.joints), *unseen)
-    problem = final.problem
-    joints = len(machine.joints)
-    scale, motion = problem.noise[:joints], predicted(problem, final.fitted)
-    shown, first = problem.in_floors(residual), before.problem.in_floors(before.fitted.residual)
-    rest = unexplained_residuals(
-        machine.joints,
-        shown[:, :joints],
-        motion,
-        log.q_des if log.q_des is not None else np.zeros_like(log.q),
-        problem.blocks.index,
-        np.asarray(machine.drives.neighbour),
+    say("fitting the baseline" if compiled() else "compiling the engine, once, and fitting the baseline")
+    start = baseline(setting, plain)
+    null = fitted_baseline(start, given)
+    follows, why = targets_match_log(data.log)
+    size = np.maximum(np.nanstd(data.record.y, axis=0), data.noise)
+    matches = follows and Errors.total(spread(null.model) / size) < MOST
+    hunt = Hunt(
+        effects=_looked_for(settings, applicable(setting, (*plain, *given))),
+        most=settings.most_effects if matches else 0,
+        say=say,
     )
-    effects = _effect_set(final, coarse)
-    if not log_matches_model:
-        said = no_match(why)
-    elif not settings.most_effects:
-        said = of_baseline(stages, rest, scale, machine.unit)
-    else:
-        said = sentence(stages, rest, scale, machine, effects)
-    measured = problem.channels > joints
-    traces = Traces(
-        t=log.t - log.t[0],
-        held_out=problem.blocks.held_out[np.maximum(problem.blocks.index, 0)] & (problem.blocks.index >= 0),
-        q=log.q,
-        dq=motion.dq,
-        tau=motion.tau,
-        before=first[:, :joints] * scale,
-        after=shown[:, :joints] * scale,
-        target=log.q_des,
-        log=None if len(logs) == 1 else np.repeat(np.arange(len(logs)), [p.rows for p in together.parts]),
-        torque_before=first[:, joints:] * problem.noise[joints:] if measured else None,
-        torque_after=shown[:, joints:] * problem.noise[joints:] if measured else None,
+    outcome = search(null, hunt)
+    say("predicting each log")
+    coarse = _coarse(outcome, settings, hunt.most)
+    found = _found(outcome, coarse)
+    joints = data.machine.joints
+    alternatives = tuple(Alternative(effects=_named(p, joints), behind=by) for p, by in outcome.ties)
+    nominal = spread(start.evaluated())
+    errors = {one: _errors(one, outcome) for one in ("before", "after")}
+    motion = motion_of(outcome.best.model)
+    rest = tuple(
+        UnexplainedResidual(joint=joint, ratio=float(ratio), torque=float(torque), depends_on=on)
+        for joint, ratio, torque, on in zip(
+            joints,
+            errors["after"].held_out / outcome.noise,
+            np.sqrt(np.mean(motion.unknown**2, axis=0)),
+            dependences(outcome.best.model, motion),
+            strict=True,
+        )
     )
+    floor = Errors(train=outcome.noise, held_out=outcome.noise)
+    said = fall(errors["before"], errors["after"], floor, data.machine.unit)
     return Calibration(
-        joints=machine.joints,
-        unit=machine.unit,
-        noise=scale,
-        nominal=nominal,
-        stages=tuple(stages),
-        effects=effects,
+        joints=joints,
+        unit=data.machine.unit,
+        noise=outcome.noise,
+        nominal=Errors(train=nominal, held_out=nominal),
+        baseline=errors["before"],
+        final=errors["after"],
+        found=found,
+        alternatives=alternatives,
+        tried=_stages(hunt, joints),
+        explained=outcome.explained,
+        effects=_effects(outcome, coarse),
         unexplained=rest,
-        sentence=said,
-        log_matches_model=log_matches_model,
-        experiments=(*experiments(stages), *next_logs(rest)) if log_matches_model else (),
-        warnings=(*final.notes, *(stopped_at(*row, machine) for row in _at_bounds(final))),
-        correlations=correlations(final.fitted, problem),
-        traces=traces,
-        logs=unseen,
-        replays=problem.replay.replays,
+        sentence=sentence(found, alternatives, rest, said, joints, hunt.most > 0) if matches else no_match(why),
+        log_matches_model=matches,
+        experiments=next_logs(found, alternatives, rest) if matches else (),
+        warnings=_warnings(outcome.best.model),
+        correlations=_correlations(outcome.best.model),
+        traces=_traces(outcome, motion.speed, motion.torque),
+        logs=_by_log(outcome, others, model, called[len(logs) :]),
+        passes=setting.passes.count,
         seconds=time.monotonic() - began,
         metadata={
-            "log": dict(log.metadata),
-            "rate": log.rate,
-            "duration": log.duration,
-            "sending_times": problem.replay.sending.how,
+            "log": dict(data.log.metadata),
+            "rate": data.log.rate,
+            "duration": data.log.duration,
+            "sending_times": outcome.best.model.data.times.how,
         },
     )
 
 
-def _no_worse(final: FittedModel, before: FittedModel) -> FittedModel:
-    """Return the final model, or the baseline where that predicts the held-out blocks better."""
-    left = [
-        float(np.mean(m.problem.mean_squares(m.problem.in_floors(m.fitted.residual), True))) for m in (before, final)
-    ]
-    if final is before or not left[1] > left[0]:
-        return final
-    titles = " and ".join(CATALOGUE[n].title for n in final.added)
-    note = f"{titles} made the prediction of held-out blocks worse, so that the baseline stays"
-    return replace(before, notes=(*final.notes, *([note] if titles else [])))
+def _baseline_names(data: Data, settings: CalibrateSettings) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the effects of the baseline: those with a derivative where they are none, and those with a threshold."""
+    names = settings.baseline
+    if data.machine.drives.volts is not None:
+        names = OF_VOLTAGE_DRIVES if names == CalibrateSettings().baseline else tuple(dict.fromkeys((*names, "motor")))
+    rough = [name for name in names if effect(name).structural]
+    for name in names:
+        rough += [name for p in wanted(name) if name not in rough and (p.starts or p.spectral)]
+    return tuple(n for n in names if n not in rough), tuple(dict.fromkeys(rough))
 
 
-def _at_bounds(h: FittedModel) -> list[tuple[FreeParameter, float]]:
-    """Return the numbers that are at a bound which does not mean none, and the bound."""
-    found = []
-    for free in h.fitted.free_parameters:
-        j, p = max(free.joint, 0), free.parameter
-        value = h.fitted.point.values[free.key][j]
-        if value in (p.low, p.high) and value not in (neutral(*free.key, h.problem.machine)[j], 0.0, UNLIMITED):
-            found.append((free, value))
-    return found
+def _looked_for(settings: CalibrateSettings, able: Sequence[str]) -> tuple[str, ...]:
+    return tuple(n for n in able if not settings.effects or n in settings.effects)
 
 
-def _baseline(problem: Problem, settings: CalibrateSettings, tick: Callable[[str], None]) -> FittedModel:
-    """Return the baseline parameters, fitted in coarse steps."""
-    machine = problem.machine
-    moves = np.ptp(problem.replay.log.q, axis=0) > 0
-    where = {} if moves.all() else {n: moves for n in settings.baseline if effect(n).scope == "joint"}
-    tick("fitting the baseline model")
-    names = [n for n in settings.baseline if not effect(n).structural]
-    fitted = fit(problem, Point.of(names, machine), names, where, most=MOST_STEPS)
-    if problem.poorly_explained(fitted.residual):
-        short = fit(problem.in_short_segments(), fitted.point, names, where, most=MOST_STEPS)
-        again = fit(problem, short.point, names, where, most=MOST_STEPS)
-        fitted = min(fitted, again, key=lambda f: float(problem.mean_squares(f.residual, False).sum()))
-    problem, fitted = fit_sending_times(problem, fitted, names, where)
-    for name in settings.baseline:
-        if name not in names:
-            fitted = _with_threshold(problem, fitted, name, names, where)
-            names.append(name)
-    return FittedModel(problem=problem, fitted=fitted, names=tuple(names), joints=where)
-
-
-def _refined(h: FittedModel, tick: Callable[[str], None]) -> FittedModel:
-    """Return the baseline parameters fitted in fine steps, to logs of equal weight."""
-    problem, fitted = h.problem.with_equal_logs(h.fitted.residual), h.fitted
-    if problem is not h.problem:
-        tick("fitting the baseline model with logs of equal weight")
-        fitted = fit(problem, fitted.point, h.names, h.joints, most=MOST_STEPS)
-    tick("refining the step size")
-    problem, fitted = compared(problem, fitted, h.names, h.joints)
-    return replace(h, problem=problem, fitted=fitted)
-
-
-def _with_threshold(problem: Problem, fitted: Fit, name: str, names: Sequence[str], where: dict[str, BoolArray]) -> Fit:
-    """Return the best fit with an effect that has no derivative where it is none, from all its starts."""
-    starts = starts_of(name, fitted, problem, predicted(problem, fitted))
-    short = problem.in_short_segments()
-    fits = fit_all(short, [fitting(short, p, [*names, name], where, most=MOST_STEPS) for p in starts])
-    best = min(fits, key=lambda f: float(short.mean_squares(f.residual, False).sum()))
-    return fit(problem, best.point, [*names, name], where, most=MOST_STEPS)
-
-
-def _check_bounds(start: Point, machine: MachineModel) -> None:
+def _check_bounds(names: Sequence[str], machine: MachineModel) -> None:
     """Refuse a model whose own numbers are none that can be fitted.
 
     Raises:
         CalibrationError: If one is outside its bounds.
     """
-    for (name, parameter), row in start.values.items():
-        spec = effect(name).parameter(parameter)
-        if effect(name).structural:
-            continue  # it begins at its own starts, and a limit that the model lacks is no number of its own
-        for j in np.flatnonzero((row < spec.low) | (row > spec.high)):
-            raise CalibrationError(
-                f"the model has {name}.{parameter} {row[j]:g} {spec.unit} in {machine.joints[j]}; it can be"
-                f" {spec.low:g} to {spec.high:g}: correct the model, or leave {name} out of --baseline"
-            )
+    for name in names:
+        for p in wanted(name):
+            row = neutral(name, p.name, machine)
+            for j in np.flatnonzero((row < p.low) | (row > p.high)):
+                raise CalibrationError(
+                    f"the model has {name}.{p.name} {row[j]:g} {p.unit} in {machine.joints[j]}; it can be {p.low:g} to"
+                    f" {p.high:g}: correct the model, or leave {name} out of --baseline"
+                )
 
 
-def _effect_set(h: FittedModel, coarse: BoolArray) -> EffectSet:
-    """Return everything that was fitted, with intervals, and the encoders (J,) that are coarse."""
-    problem, final = h.problem, h.fitted
-    deviation = deviations(final, problem, h.left_out[1])
-    spread = {(k.key, k.joint): d for k, d in zip(final.free_parameters, deviation, strict=True)}
-    effects = []
-    for name in h.names:
-        spec = CATALOGUE[name]
-        mask = h.joints.get(name, np.ones(problem.joints, dtype=bool))
-        index = [-1] if spec.scope == "machine" else [int(j) for j in np.flatnonzero(mask)]
-        if not index:
-            continue
-        values, intervals = {}, {}
-        for p in spec.parameters:
-            row = final.point.values[name, p.name]
-            values[p.name] = np.array([row[max(j, 0)] for j in index])
-            if name in h.intervals:
-                intervals[p.name] = np.array([h.intervals[name]])
-            elif not p.fixed and (name, p.name) not in problem.pinned:
-                half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
-                at = p.turned(values[p.name])
-                low, high = at - half, at + half
-                if (name, p.name) == ("delay", "time"):  # when targets were sent is not known better
-                    times = problem.replay.sending
-                    low, high = np.maximum(low - times.later, np.minimum(low, 0.0)), high + times.earlier
-                if np.isfinite(half).all():
-                    intervals[p.name] = np.sort(p.turned(np.clip(np.stack([low, high], -1), *p.bounds)), axis=-1)
-        joints = () if spec.scope == "machine" else tuple(problem.machine.joints[j] for j in index)
-        effects.append(EffectValues(name=name, joints=joints, values=values, intervals=intervals, role="fitted"))
+def _errors(which: str, outcome: Outcome) -> Errors:
+    model = (outcome.null if which == "before" else outcome.best).model
+    left_out = getattr(outcome, which)
+    return Errors(train=spread(model), held_out=spread(model, left_out))
+
+
+def _coarse(outcome: Outcome, settings: CalibrateSettings, most: int) -> BoolArray:
+    """Return the joints (J,) with an encoder so coarse that it matters beside what is left."""
+    model = outcome.best.model
+    asked = most > 0 and (not settings.effects or "encoder_step" in settings.effects)
+    left = spread(model, outcome.after)
+    return (model.data.encoder_steps / np.sqrt(12.0) > ROUNDING * left) & asked
+
+
+def _found(outcome: Outcome, coarse: BoolArray) -> tuple[Found, ...]:
+    """Return the effects found; of coarse encoders (J,) last."""
+    model = outcome.best.model
+    joints = model.data.machine.joints
+
+    def beyond(e: FloatArray) -> float:
+        return max(Errors.total(spread(model, e)) ** 2 - Errors.total(outcome.noise) ** 2, 1e-30)
+
+    whole = beyond(outcome.before)
+    found = []
+    for part in outcome.parts:
+        removed = beyond(part.without.model.left_out()) - beyond(outcome.after)
+        where = _named(((part.name, part.joints),), joints)[0][1]
+        share = float(np.clip(removed / whole, 0.0, 1.0))
+        found.append(Found(name=part.name, joints=where, evidence=part.evidence, share=share))
     if coarse.any():
-        joints = tuple(np.array(problem.machine.joints)[coarse])
-        angle = {"angle": problem.encoder_steps[coarse]}
-        effects.append(EffectValues(name="encoder_step", joints=joints, values=angle, intervals={}, role="fitted"))
+        where = tuple(np.array(joints)[coarse].tolist())
+        found.append(Found(name="encoder_step", joints=where, evidence=0.0, share=0.0))
+    return tuple(found)
+
+
+def _named(parts: Parts, joints: Sequence[str]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return effects with the names of their joints, none for the whole machine."""
+    named = []
+    for name, own in parts:
+        named.append((name, tuple(joints[j] for j in own if j >= 0)))
+    return tuple(named)
+
+
+def _stages(hunt: Hunt, joints: Sequence[str]) -> tuple[Stage, ...]:
+    """Return what was tried beside each set of effects; of each effect the best joints, fitted where one was."""
+    kept: dict[Parts, dict[str, Candidate]] = {}
+    for one in sorted(hunt.tried, key=lambda a: (not a.fitted, -a.gain)):
+        where = _named(((one.name, one.joints),), joints)[0][1]
+        candidate = Candidate(name=one.name, joints=where, gain=one.gain, fitted=one.fitted)
+        kept.setdefault(one.beside, {}).setdefault(one.name, candidate)
+    stages = []
+    for beside, own in sorted(kept.items(), key=lambda item: len(item[0])):
+        stages.append(Stage(beside=tuple(name for name, _ in beside), candidates=tuple(own.values())))
+    return tuple(stages)
+
+
+def _effects(outcome: Outcome, coarse: BoolArray) -> EffectSet:
+    """Return all numbers fitted, with intervals, and the encoders (J,) that are coarse."""
+    data = outcome.best.model.data
+    effects = []
+    for one in effects_of(outcome.best.model, outcome.best.repeats):
+        if one.name == "delay" and "time" in one.intervals:  # when targets were sent is not known better
+            low, high = one.intervals["time"].T
+            low = np.maximum(low - data.times.later, np.minimum(low, 0.0))
+            one = replace(one, intervals={"time": np.stack([low, high + data.times.earlier], -1)})
+        effects.append(one)
+    if coarse.any():
+        joints = tuple(np.array(data.machine.joints)[coarse].tolist())
+        values = {"angle": data.encoder_steps[coarse]}
+        effects.append(EffectValues(name="encoder_step", joints=joints, values=values, intervals={}, role="fitted"))
     return EffectSet(tuple(effects))
+
+
+def _warnings(model: Model) -> tuple[str, ...]:
+    """Return what the user should know of the numbers: those at an end that does not mean none."""
+    lines = []
+    joints = model.data.machine.joints
+    for f in model.free:
+        p = CATALOGUE[f.key[0]].parameter(f.key[1])
+        value = float(model.table[ROW[f.key], max(f.joint, 0)])
+        none = float(model.setting.blank[ROW[f.key], max(f.joint, 0)])
+        if value in (p.low, p.high) and value not in (none, 0.0, UNLIMITED):
+            end = "largest" if value == p.high else "smallest"
+            lines.append(
+                f"{_called(f.key, f.joint, joints)} is at its {end}, {value:g}: the log does not say more of it"
+            )
+    if model.data.log.tau is not None:
+        lines.append("the measured torque is compared with that of the motors (report.html), and not fitted")
+    return tuple(lines)
+
+
+def _called(key: tuple[str, str], joint: int, joints: Sequence[str]) -> str:
+    return ".".join(key) + (f" of {joints[joint]}" if joint >= 0 else "")
+
+
+def _correlations(model: Model) -> Correlations:
+    spreads = covariance(model)
+    size = np.sqrt(np.maximum(np.diag(spreads), 1e-300))
+    names = tuple(_called(f.key, f.joint, model.data.machine.joints) for f in model.free)
+    return Correlations(names=names, matrix=spreads / np.outer(size, size))
+
+
+def _traces(outcome: Outcome, speed: FloatArray, torque: FloatArray) -> Traces:
+    data = outcome.best.model.data
+    torques: dict[str, FloatArray] = {}
+    if data.log.tau is not None:
+        for name, one in (("torque_before", outcome.null), ("torque_after", outcome.best)):
+            given = one.model.setting.passes.whole([one.model.table], one.model.gains)[0][2]
+            torques[name] = np.where(data.counts, data.log.tau - given, np.nan)
+    return Traces(
+        t=data.record.t,
+        q=data.log.q,
+        dq=speed,
+        tau=torque,
+        before=np.where(data.counts, outcome.before, np.nan),
+        after=np.where(data.counts, outcome.after, np.nan),
+        target=data.log.q_des,
+        log=None if data.logs == 1 else data.record.log,
+        **torques,
+    )
+
+
+def _by_log(
+    outcome: Outcome, others: Sequence[JointLog], model: MachineModel, names: Sequence[str]
+) -> tuple[LogErrors, ...]:
+    """Return the errors of each log, of several: those fitted first, then those held out whole."""
+    ends = (outcome.null.model, outcome.best.model)
+    data = ends[1].data
+    if data.logs == 1 and not others:
+        return ()
+    old, new = (by_log(one) for one in ends)
+    apart = [by_log(one, one.unseen()) for one in ends] if data.apart.any() else None
+    found = []
+    for k, name in enumerate(data.names):
+        left_out = (None, None) if apart is None else (apart[0][k], apart[1][k])
+        found.append(
+            LogErrors(
+                name=name,
+                fitted=True,
+                baseline=old[k],
+                final=new[k],
+                left_out_baseline=left_out[0],
+                left_out_final=left_out[1],
+            )
+        )
+    if others:
+        unseen = data_of(others, model, names)
+        alike = [times for times in unseen.sending if times.how == data.times.how]
+        unseen = unseen.sent_at(alike[0]) if alike else unseen
+        old, new = (by_log(_over(one, unseen)) for one in ends)
+        for k, name in enumerate(unseen.names):
+            found.append(LogErrors(name=name, fitted=False, baseline=old[k], final=new[k]))
+    return tuple(found)
+
+
+def _over(model: Model, data: Data) -> Model:
+    """Return a model with its errors over other logs."""
+    own = model.setting
+    setting = replace(own, passes=own.passes.of(data), gains=own.gains.over(data))
+    return replace(model, setting=setting, columns=None).evaluated()

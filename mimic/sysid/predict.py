@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 
 from mimic.config.sysid import LogSettings
@@ -13,47 +10,61 @@ from mimic.dynamics.machine import MachineModel, drive_notes
 from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.problem import FINE
-from mimic.sysid.fit.replay import SEGMENT, Replay, on_steps, physics_step
-from mimic.sysid.log.pool import valid_samples
-from mimic.sysid.log.timing import AT_ROW, SENT, sending_times
+from mimic.sysid.engine.data import BEFORE, data_of, motors_of
+from mimic.sysid.engine.laws import DELAY, ROW
+from mimic.sysid.engine.likelihood import DECAY, FOLLOWING
+from mimic.sysid.engine.model import STEP, blank_table, setting_of
+from mimic.sysid.engine.predictor import Record, arrays_of
+from mimic.sysid.engine.predictor import predict as passed
+from mimic.sysid.engine.tree import tree_of
+from mimic.sysid.log.timing import AT_ROW, SENT
+
+APART = 1e-9
+"""Least time between two readings of a simulated log [s]."""
 
 
-def predict(
-    log: JointLog, machine: MachineModel, effects: EffectSet, *, whole: bool = False, threads: int = 0
-) -> FloatArray:
+def predict(log: JointLog, machine: MachineModel, effects: EffectSet, *, whole: bool = False) -> FloatArray:
     """Return measured - predicted positions (T, J) [rad or m], NaN where nothing is predicted or the sample is masked.
 
-    They are extrapolated to steps of length zero, from replays in two step sizes. Targets of a jittering
-    delay act as late as they do on the average; lost commands are single events, which cannot be predicted.
+    Targets of a jittering delay act as late as they do on the average; lost commands are single events, which cannot be
+    predicted.
 
     Args:
         log: Readings of the machine's joints, in its order.
         machine: The model, as the log says (`mimic.dynamics.machine.as_logged`).
         effects: What it has.
-        whole: Replay the log in one piece from its first reading; else in pieces that each begin with a measured
-            position.
-        threads: Threads; 0 takes one for each core.
+        whole: Predict the log in one piece from its first reading; else to the end of each block of 1.5 s, from where
+            the readings before it say that the machine is.
 
     Raises:
         ConfigError: If an effect names a joint that the machine lacks.
     """
-    p = parameters_of(effects, machine)
-    spread = float(p.pop(("delay_jitter", "spread"), np.zeros((1, 1)))[0, 0])
-    p.pop(("lost_commands", "share"), None)
-    p = p or {("delay", "time"): np.zeros((1, 1))}
-    pieces: dict[str, Any] = {"segment": math.inf, "lead_in": 0.0} if whole else {"segment": SEGMENT[1]}
-    made = []
-    for times in (FINE, 2 * FINE):
-        step = physics_step(log.rate) / times
-        replay = Replay(machine, log, timestep=step, threads=threads, sending=sending_times(log)[0], **pieces)
-        if spread:
-            replay = replay.with_late(np.full(len(replay.sent), spread / 2))
-        if ("kt_heat", "time") in p and not whole:
-            replay = replay.with_heat(np.sqrt(replay.mean_square_torque(p)))
-        made.append(replay.run(p, 1).residual[0].astype(np.float64))
-    residual = 2.0 * made[1] - made[0]
-    return np.where(valid_samples(log)[:, None], residual, np.nan)
+    data = data_of([log], machine)
+    table = table_of(data.machine, effects)
+    table[DELAY] += table[ROW["delay_jitter", "spread"]] / 2.0
+    counts = data.counts
+    gains = np.zeros((1, 2, 2, data.joints, 3))
+    if whole:
+        counts = np.isfinite(data.record.y)
+        record = data.record._replace(lead=np.zeros_like(data.record.lead), settled=np.ones_like(data.record.settled))
+    else:
+        record = data.record
+        setting = setting_of(data)
+        gains = setting.gains.of(FOLLOWING * setting.gains.torque)
+    made = passed(arrays_of(data.tree, record), table, gains, DECAY, STEP / 2.0, False)
+    return np.where(counts, data.record.y - made[0], np.nan)
+
+
+def table_of(machine: MachineModel, effects: EffectSet) -> FloatArray:
+    """Return the numbers of a machine with these effects (S, J).
+
+    Raises:
+        ConfigError: If one names a joint that the machine lacks.
+    """
+    table = blank_table(machine)
+    for key, row in parameters_of(effects, machine).items():
+        table[ROW[key]] = row[0]
+    return table
 
 
 def simulate_log(
@@ -72,31 +83,24 @@ def simulate_log(
         The log: q and q_des at the rate of the settings, tau as the motors give it.
     """
     rng = np.random.default_rng(settings.seed)
-    p = parameters_of(effects, machine)
-    spread = float(p.pop(("delay_jitter", "spread"), np.zeros((1, 1)))[0, 0])
-    share = float(p.pop(("lost_commands", "share"), np.zeros((1, 1)))[0, 0])
-    sent = on_steps(t * settings.rate_hz)
-    number = np.arange(int(sent[-1]) + 1)
-    times, rows = number / settings.rate_hz, np.maximum(np.searchsorted(sent, number, side="right") - 1, 0)
+    table = table_of(machine, effects)
+    spread = float(table[ROW["delay_jitter", "spread"], 0])
+    share = float(table[ROW["lost_commands", "share"], 0])
+    last = np.searchsorted(t, np.arange(round(t[-1] * settings.rate_hz) + 1) / settings.rate_hz + APART, side="right")
+    rows = np.maximum(last - 1, 0)
+    times = np.arange(len(rows)) / settings.rate_hz
     kept = rng.random(len(t)) >= share
     kept[0] = True
     late = t + spread * rng.random(len(t))
     late[0] = t[0]
-    fine = np.arange(int(on_steps(t[-1] / settings.timestep)) + 1) * settings.timestep
-    nothing = np.zeros((len(fine), len(machine.joints)))
-    command = JointLog(joints=machine.joints, t=fine, q=nothing, tau=nothing, q_des=_arrived(fine, late, q_des, kept))
-    replay = Replay(machine, command, timestep=settings.timestep, segment=math.inf, lead_in=0.0, threads=1, torque=True)
-    made = replay.run(p or {("delay", "time"): np.zeros((1, 1))}, 1)
-    q, tau = -made.residual[0].astype(np.float64), -made.torque_residual[0].astype(np.float64)  # type: ignore[index]
-    read = times + settings.jitter * rng.standard_normal(len(times))
-    read = np.clip(read, 0.0, fine[-1])
-    q = np.stack([np.interp(read, fine, column) for column in q.T], -1)
-    total = np.concatenate([np.zeros((1, tau.shape[1])), np.cumsum(tau[1:], axis=0)]) * settings.timestep
-    before = np.maximum(read - 1.0 / settings.rate_hz, 0.0)
-    between = np.maximum(read - before, settings.timestep)[:, None]
-    tau = np.stack([np.interp(read, fine, c) - np.interp(before, fine, c) for c in total.T], -1) / between
-    tau = tau + settings.torque_noise * rng.standard_normal(tau.shape)
-    q = q + settings.noise * rng.standard_normal(q.shape)
+    read = np.clip(times + settings.jitter * rng.standard_normal(len(times)), 0.0, times[-1])
+    read[0] = 0.0
+    order = np.argsort(read, kind="stable")
+    made = np.zeros((3, len(read), len(machine.joints)))
+    clock = np.maximum.accumulate(read[order]) + APART * np.arange(len(read))
+    made[:, order] = _played(machine, clock, late, q_des, kept, table, settings.timestep)
+    q = made[0] + settings.noise * rng.standard_normal(made[0].shape)
+    tau = made[2] + settings.torque_noise * rng.standard_normal(made[0].shape)
     if settings.resolution > 0:
         q = settings.resolution * np.round(q / settings.resolution)
     there = rng.random(len(times)) >= settings.lost_samples
@@ -111,12 +115,43 @@ def simulate_log(
     )
 
 
-def _arrived(fine: FloatArray, late: FloatArray, q_des: FloatArray, kept: BoolArray) -> FloatArray:
-    """Return the target in effect at each fine time: the newest that was not lost and has arrived.
+def _played(
+    machine: MachineModel,
+    clock: FloatArray,
+    late: FloatArray,
+    q_des: FloatArray,
+    kept: BoolArray,
+    table: FloatArray,
+    timestep: float,
+) -> FloatArray:
+    """Return readings, unknown torques and torques of the motors (3, T, J) at times (T,) from rest at position zero.
 
-    Arrivals are put on the nearest fine time: on the next one, all would be half a step late on the average.
+    Targets (K, J) arrive late (K,) [s] if they are kept (K,); one that the next overtakes is lost.
     """
-    arrival = np.round((late - fine[0]) / (fine[1] - fine[0])).astype(int)
-    there, newest = np.flatnonzero(kept & (arrival < len(fine))), np.zeros(len(fine), dtype=int)
-    np.maximum.at(newest, arrival[there], there)
-    return q_des[np.maximum.accumulate(newest)]
+    order = np.argsort(np.where(kept, late, np.inf), kind="stable")[: int(kept.sum())]
+    order = order[order == np.maximum.accumulate(order)]
+    sent = late[order]
+    sent[0] -= BEFORE
+    joints = len(machine.joints)
+    y = np.full((len(clock), joints), np.nan)
+    y[0] = 0.0
+    first = np.arange(len(clock)) == 0
+    record = Record(
+        t=clock,
+        y=y,
+        log=np.zeros(len(clock), dtype=int),
+        since=clock,
+        fresh=first,
+        settled=np.ones(len(clock), dtype=bool),
+        lead=np.zeros(len(clock), dtype=int),
+        sent=sent,
+        goal=np.ascontiguousarray(q_des[order]),
+        force=np.zeros((len(clock), joints)),
+        on=np.ones((len(clock), joints)),
+        supply=np.ones(len(clock)),
+        kp=np.array(machine.drives.kp, dtype=float)[None],
+        kd=np.array(machine.drives.kd, dtype=float)[None],
+        payload=np.zeros((1, joints)),
+        **motors_of(machine),
+    )
+    return passed(arrays_of(tree_of(machine), record), table, np.zeros((1, 2, 2, joints, 3)), DECAY, timestep, False)

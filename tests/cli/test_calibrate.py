@@ -29,7 +29,7 @@ joints = ["hinge"]
 stiffness = 2.0
 """
 
-SPRING = ("--no-torque", "--effects", "spring", "--timestep", "0.005")
+SPRING = ("--effects", "spring")
 QUICK = ("--seconds", "10", "--timestep", "0.001")
 
 
@@ -71,7 +71,7 @@ def test_calibrating_finds_the_spring_and_writes_its_files(here: Path, capsys: p
     written = {"actuators.json", "calibration.json", "effects.toml", "model.xml", "report.html"}
     assert {p.name for p in (here / "out").iterdir()} == written
     data = json.loads((here / "out" / "calibration.json").read_text())
-    assert data["found"] == ["spring"]
+    assert [one["name"] for one in data["found"]] == ["spring"]
     assert data["errors"]["final"]["held_out"]["all"] < 0.5 * data["errors"]["baseline"]["held_out"]["all"]
     assert set(data["metadata"]["provenance"]["inputs"]) == {"log", "model"}
     found = {e.name: e for e in read_effects(here / "out" / "effects.toml")}
@@ -95,7 +95,7 @@ def test_logs_with_gains_of_their_own_are_explained_together(here: Path, capsys:
     files = ["0.csv", "1.csv", "2.csv", "--held-out", "3.csv"]
     assert main(["calibrate", *files, "--model", "robot.xml", *notes, "-o", "out", *SPRING]) == 0
     data = json.loads((here / "out" / "calibration.json").read_text())
-    assert data["found"] == ["spring"]
+    assert [one["name"] for one in data["found"]] == ["spring"]
     assert [(log["name"], log["fitted"]) for log in data["logs"]] == [
         ("0.csv", True), ("1.csv", True), ("2.csv", True), ("3.csv", False)]  # fmt: skip
     for log in data["logs"]:
@@ -127,11 +127,11 @@ def test_a_second_log_shows_whether_effects_hold(here: Path, capsys: pytest.Capt
 @pytest.mark.slow
 def test_a_wave_longer_than_the_motion_is_no_cogging(here: Path) -> None:
     assert simulated("-o", "log.parquet") == 0  # its spring is a wave of any long period
-    options = ("--no-torque", "--effects", "cogging", "--timestep", "0.005")
+    options = ("--effects", "cogging")
     assert main(["calibrate", "log.parquet", "--model", "robot.xml", "-o", "out", *options]) == 0
     data = json.loads((here / "out" / "calibration.json").read_text())
     assert data["found"] == []
-    assert data["stages"][-1]["candidates"][0]["name"] == "cogging"
+    assert data["tried"][0]["candidates"][0]["name"] == "cogging"
 
 
 @pytest.mark.slow
@@ -176,7 +176,6 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
         (["log", "replay", "log.csv", "--model", "robot.xml"], "lasts 0.01 s"),
         (["log", "replay", "log.csv", "--effects", "a.toml", "--effects", "a.toml"], "names a file twice"),
         (["log", "replay", "log.csv", "--effects", "none.toml"], "none.toml cannot be read"),
-        (["log", "replay", "log.csv", "--threads", "-1"], "threads is -1"),
         (["log", "replay", "log.csv", "-o", "robot.xml/a.json"], "nothing can be written to robot.xml"),
         (["log", "simulate", "-o", "robot.xml/a.csv"], "nothing can be written to robot.xml"),
         (["log", "simulate", "-o", "a.csv", "--torque-noise", "-1"], "torque-noise is -1"),

@@ -168,12 +168,12 @@ def test_calibration_of_a_probed_leg_that_lacks_nothing_names_nothing(descriptio
     log = probed[1].log.of(leg.joints)
     machine = with_gains(leg, log.metadata)
     facts = check_log(log, np.stack([machine.low, machine.high], -1))
-    tried = CalibrateSettings(effects=("encoder_scale", "velocity_lag", "joint_delay"), timestep=0.005)
+    tried = CalibrateSettings(effects=("encoder_scale", "velocity_lag", "joint_delay"))
     result = calibrate(facts.log, machine, tried)
-    assert [s.added for s in result.stages if s.added not in ("", "baseline")] == []
-    assert np.sqrt(np.mean(result.stages[-1].errors.held_out ** 2)) < 2e-4
+    assert result.names == ()
+    assert np.sqrt(np.mean(result.final.held_out**2)) < 2e-4
     values = {e.name: e.values for e in result.effects}
-    assert values["viscous"]["coefficient"] == pytest.approx(machine.model.dof_damping, rel=0.1)
+    assert values["viscous"]["coefficient"] == pytest.approx(machine.model.dof_damping, rel=0.15)
     assert values["link_mass"]["factor"][1:] == pytest.approx([1.0, 1.0], abs=0.06)
 
 

@@ -400,9 +400,6 @@ def test_a_voltage_drive_gives_its_full_duty_and_no_more(bench):
 
 def test_a_voltage_drive_at_full_duty_runs_up_to_the_supply_over_its_constant(bench):
     assert bench(drive=SERVO).run(5.0, target=lambda t: 1e4)["dq"][-1] == pytest.approx(25.0, rel=1e-3)
-    low = bench(drive=SERVO)
-    low.law.set_supply(0.5)
-    assert low.run(5.0, target=lambda t: 1e4)["dq"][-1] == pytest.approx(12.5, rel=1e-3)
 
 
 def test_another_motor_constant_moves_torque_and_speed(bench):

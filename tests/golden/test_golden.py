@@ -42,9 +42,7 @@ ROWS = 6
 LEFT_OUT = ("observation", "t_host")
 """Arrays that are large, or differ from run to run."""
 
-SEARCH = CalibrateSettings(
-    baseline=("coulomb", "viscous"), effects=("spring",), most_effects=1, threads=1, timestep=0.004
-)
+SEARCH = CalibrateSettings(baseline=("coulomb", "viscous"), effects=("spring",), most_effects=1, threads=1)
 PENDULUM = """<mujoco model="pendulum"><worldbody><body name="rod">
 <joint name="pivot" type="hinge" axis="0 1 0" range="-90 90" armature="0.01"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/></body></worldbody><actuator>

@@ -9,13 +9,9 @@ import numpy as np
 import pytest
 
 from mimic.config.sysid import LogSettings
-from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
-from mimic.sysid.fit.problem import Point, Problem
-from mimic.sysid.fit.replay import Replay
-from mimic.sysid.log.pool import make_blocks
 from mimic.sysid.predict import simulate_log
 
 PAIR = """<mujoco><worldbody>
@@ -49,15 +45,3 @@ def made_log(pair: MachineModel, *hidden: EffectValues, fast: float = 0.0, times
     swing = np.where((t > 6.0) & (t < 7.0), fast * np.sin(8 * np.pi * t), 0.0)
     made = simulate_log(pair, t, q_des + swing[:, None], EffectSet(hidden), LogSettings(seed=4, timestep=timestep))
     return replace(made, tau=None)
-
-
-@pytest.fixture
-def problem_of() -> Callable[..., tuple[Problem, Point]]:
-    """Return a function that makes the problem of a log, and its baseline."""
-    return made_problem
-
-
-def made_problem(pair: MachineModel, log: JointLog, timestep: float = 0.005) -> tuple[Problem, Point]:
-    replay = Replay(pair, log, timestep=timestep)
-    problem = Problem(replay, np.full(len(pair.joints), 0.35e-3), None, make_blocks(log.t, replay.counts))
-    return problem, Point.of(BASELINE, pair)

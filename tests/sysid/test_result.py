@@ -6,50 +6,51 @@ import numpy as np
 
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.io.store import save_json
-from mimic.sysid.result import Calibration, Candidate, Correlations, Errors, Stage, Traces, UnexplainedResidual
+from mimic.sysid.result import (
+    Alternative,
+    Calibration,
+    Candidate,
+    Correlations,
+    Errors,
+    Found,
+    Stage,
+    Traces,
+    UnexplainedResidual,
+)
 
 
 def small() -> Calibration:
     """Return a calibration of two joints that found backlash."""
     row = np.array([1.0, 3.0])
-    errors = Errors(train=2 * row, held_out=4 * row)
-    tried = Candidate(
-        name="backlash",
-        gain=0.5,
-        z=float("nan"),
-        improvement=1e-3,
-        values={"gap": row},
-        joints=("a", "b"),
-        accepted=True,
-    )
+    tried = Candidate(name="backlash", joints=("a", "b"), gain=float("nan"), fitted=True)
     return Calibration(
         joints=("a", "b"),
         unit="rad",
         noise=row,
         nominal=Errors(train=8 * row, held_out=8 * row),
-        stages=(Stage(added="baseline", errors=errors), Stage(added="backlash", errors=errors, candidates=(tried,))),
+        baseline=Errors(train=4 * row, held_out=5 * row),
+        final=Errors(train=2 * row, held_out=4 * row),
+        found=(Found(name="backlash", joints=("a",), evidence=30.0, share=0.9),),
+        alternatives=(Alternative(effects=(("spring", ("b",)),), behind=2.0),),
+        tried=(Stage(beside=(), candidates=(tried,)),),
         effects=EffectSet((EffectValues(name="delay", values={"time": np.array([0.01])}),)),
-        unexplained=(
-            UnexplainedResidual(
-                joint="a", ratio=1.0, state_r2=0.0, depends_on=(), peak_hz=1.0, peak_ratio=2.0, verdict="explained"
-            ),
-        ),
+        unexplained=(UnexplainedResidual(joint="a", ratio=1.0, torque=0.1, depends_on=(("speed", 0.5),)),),
         sentence="The model lacked backlash.",
-        traces=Traces(**dict.fromkeys(("t", "held_out", "q", "dq", "tau", "before", "after"), np.zeros((5, 2)))),
+        traces=Traces(**dict.fromkeys(("t", "q", "dq", "tau", "before", "after"), np.zeros((5, 2)))),
     )
 
 
 def test_all_but_the_traces_comes_out_as_json(tmp_path: Path) -> None:
     save_json(small().to_json(), tmp_path / "calibration.json")
     data = json.loads((tmp_path / "calibration.json").read_text())
-    assert data["format"] == 4
-    assert data["found"] == ["backlash"]
+    assert data["format"] == 5
+    assert data["found"] == [{"name": "backlash", "joints": ["a"], "evidence": 30.0, "share": 0.9}]
+    assert data["alternatives"][0]["effects"] == [["spring", ["b"]]]
     assert data["errors"]["nominal"]["held_out"] == {"a": 8.0, "b": 24.0, "all": np.sqrt(320.0)}
     assert data["errors"]["final"]["train"]["b"] == 6.0
-    assert data["stages"][1]["candidates"][0]["values"] == {"gap": [1.0, 3.0]}
-    assert data["stages"][1]["candidates"][0]["z"] is None
+    assert data["tried"][0]["candidates"][0]["gain"] is None
     assert data["effects"][0]["values"] == {"time": [0.01]}
-    assert data["unexplained"][0]["verdict"] == "explained"
+    assert data["unexplained"][0]["depends_on"] == [["speed", 0.5]]
     assert "traces" not in data
 
 

@@ -17,7 +17,7 @@ ENCODER = (
         name="encoder_scale",
         title="encoder scale",
         equation="reading = factor q",
-        parameters=(Parameter("factor", "1", neutral=1.0, low=0.5, high=2.0, step=0.01, spread=10),),
+        parameters=(Parameter("factor", "1", neutral=1.0, low=0.5, high=2.0, step=0.01, spread=3),),
         signature="as gravity and inertia of a scaled motion",
         experiment="wide static poses",
         enters="target, reading and gains",

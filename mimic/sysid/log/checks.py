@@ -14,6 +14,8 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import (
     FOLLOWS,
     MEMORY,
+    MOST,
+    SURE,
     Following,
     following,
     noise_floor,
@@ -23,9 +25,8 @@ from mimic.sysid.log.noise import (
 )
 from mimic.sysid.log.pool import BETWEEN, at_odd_times, filled, followed, missing, spikes, valid_samples
 from mimic.sysid.log.timing import MOST_WRONG
-from mimic.sysid.result import RULES
 
-STRANGER = float(np.sqrt(RULES.most))
+STRANGER = float(np.sqrt(MOST))
 """With one that it follows badly: the target does not explain most of its squares."""
 
 
@@ -55,8 +56,9 @@ def units(log: JointLog) -> Iterator[str]:
     """Degrees against radians, thousandths against units."""
     if log.q_des is None:
         return
-    spread, wanted = log.q.std(axis=0), log.q_des.std(axis=0)
-    moves = (spread > RULES.z * noise_floor(log.q, log.rate)) & (wanted > 0)
+    spread = log.q.std(axis=0)
+    wanted = log.q_des.std(axis=0)
+    moves = (spread > SURE * noise_floor(log.q, log.rate)) & (wanted > 0)
     ratio = np.divide(spread, wanted, out=np.ones(len(moves)), where=moves)
     for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
         for larger, of in (("q", ratio), ("q_des", 1.0 / ratio)):
@@ -136,7 +138,8 @@ def stuck(log: JointLog) -> Iterator[str]:
     assert asked is not None
     fastest = np.abs(speed(log.t, log.q)).max(axis=0) / log.rate
     for i, joint in enumerate(log.joints):
-        x, wanted = log.q[:, i], asked[:, i]
+        x = log.q[:, i]
+        wanted = asked[:, i]
         if np.ptp(wanted) <= rounding(wanted):
             continue
         if np.ptp(x) == 0:
@@ -263,7 +266,8 @@ def targets_match_log(log: JointLog) -> tuple[bool, str]:
     def median(of: Following) -> float:
         return float(np.median(np.maximum(np.diag(of.correlation), 0.0)[moving]))
 
-    follows, lag = median(near), near.lag[moving]
+    follows = median(near)
+    lag = near.lag[moving]
     if follows > FOLLOWS and (np.round(np.nan_to_num(lag) * log.rate) < -1).all():
         early = -1e3 * float(np.median(lag))
         return False, f"positions come {early:.0f} ms before their targets; the log runs backwards in time"
@@ -296,7 +300,8 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
     if log.tau is not None and not (np.fmax.reduce(log.tau) > np.fmin.reduce(log.tau)).any():
         warnings.append("the measured torque never changes: the drives do not report it; left out")
         log = replace(log, tau=None)
-    ok, told = np.isfinite(log.t), np.zeros(len(log.t), dtype=bool)
+    ok = np.isfinite(log.t)
+    told = np.zeros(len(log.t), dtype=bool)
     for name in CHANNELS:
         value = getattr(log, name)
         if value is None or name == "dq":  # which nothing is fitted to

@@ -9,7 +9,13 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm, truncnorm, uniform
 
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.result import RULES
+
+SURE = 3.0
+"""Standard deviations that noise hardly reaches."""
+
+MOST = 0.5
+"""Share that is most of something: of what a target explains, and of readings: if their mean unit vector is as long,
+wound round a circle of the length of a step, they are multiples of it."""
 
 FINEST_STEP = 2.5
 """Least step of a coarse encoder that is looked for, in noise floors.
@@ -56,7 +62,8 @@ def noise_floor(x: FloatArray, rate: float, known: BoolArray | None = None) -> F
         rate: Readings per second [Hz].
         known: Rows that were read (T,), all by default; what is filled in between has no resolution.
     """
-    rows, kernel = max(int(rate / 2), 32), np.array([1.0, -3.0, 3.0, -1.0])
+    rows = max(int(rate / 2), 32)
+    kernel = np.array([1.0, -3.0, 3.0, -1.0])
     power = kernel @ kernel
     alike = np.correlate(kernel, kernel, "full") / power  # autocorrelation of the differences of white noise
     third = np.diff(x, 3, axis=0)
@@ -98,19 +105,24 @@ def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[floa
     held = np.clip(np.searchsorted(t, clock, side="right") - 1, 0, len(t) - 1)
     x = _centred(np.stack([np.interp(clock, t, c) for c in q.T], -1), dt)
     y = _centred(target[held], dt)
-    spread_x, spread_y = x.std(axis=0), y.std(axis=0)
+    spread_x = x.std(axis=0)
+    spread_y = y.std(axis=0)
     moves = np.ptp(target, axis=0) > rounding(target)
     shifts = np.arange(round(lags[0] / dt), round(lags[1] / dt) + 1)
     size = 1 << int(np.ceil(np.log2(2 * len(clock))))
-    fx, fy = np.fft.rfft(x, size, axis=0), np.fft.rfft(y, size, axis=0)
-    correlation, lag = np.zeros((q.shape[1], q.shape[1])), np.full(q.shape[1], np.nan)
+    fx = np.fft.rfft(x, size, axis=0)
+    fy = np.fft.rfft(y, size, axis=0)
+    correlation = np.zeros((q.shape[1], q.shape[1]))
+    lag = np.full(q.shape[1], np.nan)
     for i, j in np.argwhere((spread_x > 0)[:, None] & moves[None, :]):
         curve = np.fft.irfft(fx[:, i] * fy[:, j].conj(), size)[shifts]
         curve = curve / (len(clock) * spread_x[i] * spread_y[j]) / (1.0 - np.abs(shifts) / len(clock))
-        up, down = int(curve.argmax()), int(curve.argmin())
+        up = int(curve.argmax())
+        down = int(curve.argmin())
         k = down if -curve[down] * FOLLOWS > curve[up] else up  # a sine is its own opposite half a period later
         shift = int(shifts[k])
-        late, early = x[max(shift, 0) :, i], y[max(-shift, 0) :, j]
+        late = x[max(shift, 0) :, i]
+        early = y[max(-shift, 0) :, j]
         rows = min(len(late), len(early))
         correlation[i, j] = np.corrcoef(late[:rows], early[:rows])[0, 1]
         if i == j and 0 < k < len(shifts) - 1:
@@ -151,7 +163,7 @@ def coarse_steps(q: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArr
     """
     found = [_step_of(column, float(floor)) for column, floor in zip(q.T, noise, strict=True)]
     step, agreement = (np.array(row) for row in zip(*found, strict=True))
-    beside = step / (2.0 * np.pi) * np.sqrt(-2.0 * np.log(np.clip(agreement, RULES.most, 1.0)))  # of a wrapped normal
+    beside = step / (2.0 * np.pi) * np.sqrt(-2.0 * np.log(np.clip(agreement, MOST, 1.0)))  # of a wrapped normal
     return step, np.maximum(noise, np.hypot(step * uniform.std(), beside))
 
 
@@ -161,12 +173,14 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     Readings that are multiples of a step agree in phase when they are wound round a circle of that length.
     """
     there = np.zeros(len(q), dtype=bool)
-    there[1:-1] = np.abs(q[2:] - q[:-2]) > RULES.z * np.sqrt(2) * noise  # readings of one that rests agree
+    there[1:-1] = np.abs(q[2:] - q[:-2]) > SURE * np.sqrt(2) * noise  # readings of one that rests agree
     q = q - q.mean()
     moving = q[there]
     if not there.any() or np.ptp(moving) <= LEAST_LEVELS * FINEST_STEP * noise:
         return 0.0, 1.0
-    least, most, spacing = LEAST_LEVELS / np.ptp(moving), 1.0 / (FINEST_STEP * noise), 1.0 / (6.0 * np.ptp(q))
+    least = LEAST_LEVELS / np.ptp(moving)
+    most = 1.0 / (FINEST_STEP * noise)
+    spacing = 1.0 / (6.0 * np.ptp(q))
     width = noise / 2  # of a bin: readings in it agree in phase by more than 0.9
     bins = 1.0 / (spacing * width)
     if bins * np.finfo(np.float32).eps > 1:  # it turns a hundred times, and single precision does not hold it
@@ -180,7 +194,7 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     near = best + np.linspace(-1, 1, 41) * spacing
     agree = [_agreement(q, f) for f in near]
     found = float(near[int(np.argmax(agree))])
-    sure = min(max(agree), _agreement(moving, found)) >= RULES.most
+    sure = min(max(agree), _agreement(moving, found)) >= MOST
     return (1.0 / found, max(agree)) if sure else (0.0, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Which samples of a log count, the blocks of time that they are in, and several logs of one machine as one."""
+"""Which samples of a log count, and several logs of one machine as one."""
 
 from __future__ import annotations
 
@@ -12,12 +12,9 @@ from scipy.stats import median_abs_deviation
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
-from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import LOW
 from mimic.sysid.log.timing import SendingTimes, joined, sending_times
-
-SHORT, LEAST_BLOCKS = 9.5, 16
-"""A log up to so long [s] is cut into so many blocks; fewer could not say how sure anything is."""
 
 UNREAD = "unread"
 """Column of such rows: 1 where nothing is compared with the reading, which is interpolated."""
@@ -35,95 +32,13 @@ FAR = 10.0
 """A reading is corrupt that is so many times as far off the line through its neighbours as theirs are."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Blocks:
-    """Blocks of time, and which are held out."""
-
-    index: IntArray
-    """Block of each reading, -1 where it does not count (T,)."""
-    held_out: BoolArray
-    """True for blocks that nothing is fitted to (B,)."""
-    switched: BoolArray | None = None
-    """True for blocks in which a drive is switched: they are always fitted and judge nothing, since
-    no other says what happens then (B,)."""
-
-    @property
-    def train(self) -> IntArray:
-        """Blocks that are fitted."""
-        return np.flatnonzero(~self.held_out)
-
-    @property
-    def fitted(self) -> BoolArray:
-        """Readings in blocks that are fitted (T,)."""
-        return np.isin(self.index, self.train)
-
-
-def make_blocks(
-    t: FloatArray,
-    counts: BoolArray,
-    logs: Sequence[slice] = (),
-    enabled: BoolArray | None = None,
-) -> Blocks:
-    """Cut time into equal blocks of about a second and hold every fourth of each log out, whatever logs are before it.
-
-    Where a drive is switched in that one, the next is held out: a joint that is let go moves as in no other block, so
-    that nothing fitted to the others says how.
-
-    Args:
-        t: Time of each reading (T,) [s].
-        counts: Readings that count (T,).
-        logs: Rows of each log, of several.
-        enabled: Where drives were switched on (T, J); always by default.
-    """
-    logs = logs or [slice(0, len(t))]
-    total = float(sum(t[rows][-1] - t[rows][0] for rows in logs))
-    seconds = 1.0 if total > SHORT else total / LEAST_BLOCKS
-    index, held_out, switched, count = np.zeros(len(t), dtype=int), [], [], 0
-    for rows in logs:
-        since = t[rows] - t[rows][0]
-        last = max(round(since[-1] / seconds), 1) - 1
-        own = np.minimum(since * (last + 1) / since[-1], last).astype(int)
-        index[rows] = count + own
-        count += last + 1
-        rest = np.ones(last + 1, dtype=bool)
-        if enabled is not None:
-            rest[own[1:][np.any(np.diff(enabled[rows], axis=0), axis=1)]] = False
-        held = [np.flatnonzero(rest[b : b + 4])[:1] + b for b in range(2, last + 1, 4)]
-        held_out.append(np.isin(np.arange(last + 1), np.concatenate([[-1], *held])))
-        switched.append(~rest)
-    return Blocks(
-        index=np.where(counts, index, -1), held_out=np.concatenate(held_out), switched=np.concatenate(switched)
-    )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sums:
-    """Normal equations of each block over whitened residuals."""
-
-    hessian: FloatArray
-    """(B, P, P)"""
-    gradient: FloatArray
-    """(B, P)"""
-    weighed: tuple[FloatArray, FloatArray]
-    """Hessian (B, P, P) and gradient (B, P) in which each chain has its weight, see `Problem.weighed`."""
-    weight: FloatArray
-    """Weight of the chain of each free parameter, 1 for those of the whole machine (P,)."""
-
-    def over(self, blocks: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return Hessian (P, P) and gradient (P,) over some blocks."""
-        return self.hessian[blocks].sum(0), self.gradient[blocks].sum(0)
-
-    def weighed_over(self, blocks: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the same in which each chain has its weight."""
-        return self.weighed[0][blocks].sum(0), self.weighed[1][blocks].sum(0)
-
-
 def spikes(log: JointLog) -> BoolArray:
     """Return the position readings (T, J) that are far off the line through their neighbours: corrupt frames.
 
     Far is what neither the motion there nor the noise of the log comes near.
     """
-    t, q = log.t[:, None], np.where(np.isfinite(log.q), log.q, np.nan)
+    t = log.t[:, None]
+    q = np.where(np.isfinite(log.q), log.q, np.nan)
     found = np.zeros(q.shape, dtype=bool)
     if len(q) < 5:
         return found
@@ -195,7 +110,8 @@ BETWEEN = 1.0
 ENABLED = "enabled"
 """Column, of all joints or with a joint's name after a point: 0 while the drive is switched off."""
 
-PAYLOAD, VOLTAGE = "payload", "voltage"
+PAYLOAD = "payload"
+VOLTAGE = "voltage"
 """Metadata: mass at the end of links [kg], and supply voltage [V], which is a column too."""
 
 
@@ -233,8 +149,6 @@ class Pool:
     log: JointLog
     """All rows."""
     parts: tuple[Part, ...]
-    step: float
-    """Physics step of which each begins at a multiple [s]."""
     sending: tuple[SendingTimes, ...]
     """All that the logs allow (`mimic.sysid.log.timing.sending_times`)."""
 
@@ -250,13 +164,12 @@ def followed(log: JointLog) -> FloatArray | None:
     return None if log.q_des is None else np.where(enabled(log), log.q_des, log.q)
 
 
-def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequence[str] = ()) -> Pool:
+def pool(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] = ()) -> Pool:
     """Return logs of the machine's joints as one.
 
     Args:
         logs: Readings of the machine's joints, in its order.
         model: The machine.
-        step: Physics step [s]: logs begin at a multiple of it.
         names: Of the logs, for messages.
 
     Raises:
@@ -266,8 +179,11 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
     refuse_contradictions(logs, names)
     if any(log.force is not None for log in logs):  # added to what the drive gives: none is a force of zero
         logs = [log if log.force is not None else replace(log, force=np.zeros(log.q.shape)) for log in logs]
-    parts, times, pieces = [], [], []
-    row, at = 0, 0.0
+    parts: list[Part] = []
+    times = []
+    pieces = []
+    row = 0
+    at = 0.0
     volts = [_number(log.metadata.get(VOLTAGE), VOLTAGE, name) for log, name in zip(logs, names, strict=True)]
     for log, name, supply in zip(logs, names, volts, strict=True):
         machine = as_logged(model, log.metadata, by_force=log.q_des is None)
@@ -287,17 +203,16 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
         )
         times.append(sending_times(log))
         pieces.append(replace(log, t=t))
-        row, at = row + len(t), float(np.ceil((t[-1] + BETWEEN) / step) * step)
+        row += len(t)
+        at = float(t[-1]) + BETWEEN
     if len(logs) == 1:
-        return Pool(log=logs[0], parts=tuple(parts), step=step, sending=times[0])
+        return Pool(log=logs[0], parts=tuple(parts), sending=times[0])
     common = [n for n in CHANNELS if all(getattr(log, n) is not None for log in logs)]
     keep = {n for log in logs for n in log.extra if n in (UNREAD, VOLTAGE) or n.split(".")[0] == ENABLED}
-    extra = {
-        n: np.concatenate(
-            [p.extra.get(n, np.full(len(p.t), {UNREAD: 0.0, VOLTAGE: np.nan}.get(n, 1.0))) for p in pieces]
-        )
-        for n in keep
-    }
+    extra = {}
+    for n in keep:
+        absent = {UNREAD: 0.0, VOLTAGE: np.nan}.get(n, 1.0)
+        extra[n] = np.concatenate([p.extra.get(n, np.full(len(p.t), absent)) for p in pieces])
     whole = JointLog(
         joints=logs[0].joints,
         t=np.concatenate([p.t for p in pieces]),
@@ -306,22 +221,7 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
         **{n: np.concatenate([getattr(p, n) for p in pieces]) for n in common},
     )
     sending = joined(times, [(p.first, p.begin) for p in parts])
-    return Pool(log=whole, parts=tuple(parts), step=step, sending=sending)
-
-
-def single(log: JointLog, machine: MachineModel) -> Part:
-    """Return the part that a log alone is, with the drives of its machine."""
-    joints = len(machine.joints)
-    return Part(
-        name="",
-        first=0,
-        rows=len(log.t),
-        begin=0.0,
-        end=float(log.t[-1] - log.t[0]),
-        kp=np.asarray(machine.drives.kp) * np.ones(joints),
-        kd=np.asarray(machine.drives.kd) * np.ones(joints),
-        payload=np.zeros(joints),
-    )
+    return Pool(log=whole, parts=tuple(parts), sending=sending)
 
 
 def refuse_contradictions(logs: Sequence[JointLog], names: Sequence[str]) -> None:
@@ -334,7 +234,8 @@ def refuse_contradictions(logs: Sequence[JointLog], names: Sequence[str]) -> Non
     Raises:
         CalibrationError: With the names of two that differ.
     """
-    first, one = logs[0], names[0]
+    first = logs[0]
+    one = names[0]
     for log, other in zip(logs[1:], names[1:], strict=True):
         if set(log.joints) != set(first.joints):
             raise CalibrationError(
@@ -365,7 +266,8 @@ def _number(given: Any, key: str, name: str) -> float | None:
 
 def _payload(notes: Mapping[str, Any], machine: MachineModel, name: str) -> FloatArray:
     """Return the masses at the ends of the links (J,): one for the last joint, or by joint."""
-    given, row = notes.get(PAYLOAD, 0.0), np.zeros(len(machine.joints))
+    given = notes.get(PAYLOAD, 0.0)
+    row = np.zeros(len(machine.joints))
     if not isinstance(given, Mapping):
         given = {machine.joints[-1]: given}
     for joint, mass in given.items():
@@ -375,8 +277,3 @@ def _payload(notes: Mapping[str, Any], machine: MachineModel, name: str) -> Floa
             raise CalibrationError(f"{name}: the payload at {joint} is {mass!r}; expected a mass in kg")
         row[machine.joints.index(joint)] = mass
     return row
-
-
-def rows_of(parts: Sequence[Part], values: Sequence[FloatArray]) -> FloatArray:
-    """Return a row (J,) of each part for each of its rows of the pool (T, J)."""
-    return np.concatenate([np.broadcast_to(v, (p.rows, len(v))) for p, v in zip(parts, values, strict=True)])

@@ -18,7 +18,8 @@ from scipy.optimize import linprog
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray, IntArray
 
-SENT, AT_ROW = "sent", "row"
+SENT = "sent"
+AT_ROW = "row"
 """Key and value of the metadata of a log that say that a target is sent at the time of the row that first shows it."""
 
 SENT_COLUMN = "t_send."
@@ -82,7 +83,8 @@ def sending_times(log: JointLog) -> tuple[SendingTimes, ...]:
     own = at_rows(log)
     if len(own.rows) < 2 or log.metadata.get(SENT) == AT_ROW:
         return (own,)
-    rows, high = own.rows, own.at
+    rows = own.rows
+    high = own.at
     low = (log.t - log.t[0])[np.maximum(rows - 1, 0)]
     width = float(np.median((high - low)[1:]))
     own = replace(own, earlier=width)
@@ -143,14 +145,18 @@ def _periods(low: FloatArray, high: FloatArray) -> FloatArray | None:
     middle = (low + high) / 2
     gaps = np.diff(middle)
     first = middle[:100] - middle[0]
-    least, most, apart = 0.4 / np.quantile(gaps, 0.1), 1.3 / gaps.min(), 0.1 / first[-1]
+    least = 0.4 / np.quantile(gaps, 0.1)
+    most = 1.3 / gaps.min()
+    apart = 0.1 / first[-1]
     rates = least + apart * np.arange(min(np.ceil((most - least) / apart), MOST_RATES))
     if not len(rates):
         return None
     together = np.abs(sum(np.exp(2j * np.pi * rates * at) for at in first))
     good = np.flatnonzero(together >= (1.0 - MOST_WRONG) * together.max())
     rate = rates[good[0] : good[0] + 10][int(np.argmax(together[good[0] : good[0] + 10]))]
-    slope, start, known = 1.0 / rate, middle[0], len(first)
+    slope = 1.0 / rate
+    start = middle[0]
+    known = len(first)
     while True:
         count = np.round((middle[:known] - start) / slope)
         if (np.diff(count) <= 0).any():
@@ -176,9 +182,11 @@ def _through(basis: FloatArray, low: FloatArray, high: FloatArray) -> tuple[Floa
 
     Brackets that no clock passes together are missed by the least sum.
     """
-    scale, count = float(np.median(high - low)), basis.shape[1]
+    scale = float(np.median(high - low))
+    count = basis.shape[1]
     near = basis @ np.linalg.lstsq(basis, (low + high) / 2, rcond=None)[0]
-    lower, upper = (low - near) / scale, (high - near) / scale
+    lower = (low - near) / scale
+    upper = (high - near) / scale
     miss = sparse.identity(len(low), format="csr")
     rows = sparse.vstack([sparse.hstack([-basis, -miss]), sparse.hstack([basis, -miss])], format="csr")
     cost = np.concatenate([np.zeros(count), np.ones(len(low))])
@@ -194,8 +202,10 @@ def _through(basis: FloatArray, low: FloatArray, high: FloatArray) -> tuple[Floa
     weights = made.x[:count]
     clock = basis @ weights
     outside = np.maximum(np.maximum(lower - clock, clock - upper), 0.0)
-    lower, upper = np.minimum(lower, clock), np.maximum(upper, clock)
-    first, last = float(lower.max()), float(upper.min())  # of the least-squares line: near enough where rates are alike
+    lower = np.minimum(lower, clock)
+    upper = np.maximum(upper, clock)
+    first = float(lower.max())
+    last = float(upper.min())  # of the least-squares line: near enough where rates are alike
     if first <= last:
         return near + scale * (first + last) / 2, scale * (last - first) / 2, scale * outside
     ends = []

@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 
-from mimic.sysid.result import RULES, Calibration, Correlations
+from mimic.sysid.result import CORRELATED, Calibration, Correlations
 from mimic.view.report.sections import fixed, key, section, table
 
 SHOWN = 15
@@ -21,7 +21,7 @@ def correlations(c: Calibration) -> str:
     found = c.correlations
     if found is None or len(found.names) < 2:
         return ""
-    pairs = found.pairs(RULES.correlated)
+    pairs = found.pairs(CORRELATED)
     rows = [("", [escape(a), escape(b), fixed(value, 2)]) for a, b, value in pairs[:SHOWN]]
     lead = (
         "How the errors of two numbers hang together. Near 1 or −1 the log hardly tells them apart: their sum, or their"
@@ -30,11 +30,11 @@ def correlations(c: Calibration) -> str:
     strongest = (
         table(["number", "with", "correlation"], rows, kind="narrow")
         if rows
-        else f"<p class='lead'>No two numbers are correlated by {RULES.correlated:g} or more.</p>"
+        else f"<p class='lead'>No two numbers are correlated by {CORRELATED:g} or more.</p>"
     )
     more = ""
     if len(pairs) > SHOWN:
-        more = f"<p class='lead'>{len(pairs) - SHOWN} further pairs above {RULES.correlated:g}.</p>"
+        more = f"<p class='lead'>{len(pairs) - SHOWN} further pairs above {CORRELATED:g}.</p>"
     return section("Correlation of the fitted numbers", lead, strongest, more, _map(found))
 
 

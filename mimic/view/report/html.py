@@ -10,24 +10,17 @@ from typing import Any
 import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE, unit_of
-from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.effect_set import EffectValues
 from mimic.io.store import written_whole
 from mimic.records import FloatArray
-from mimic.sysid.result import Calibration, Errors
+from mimic.sysid.result import EXPLAINED, Calibration, Errors
+from mimic.sysid.sentences import called
 from mimic.view.report.correlations import correlations
 from mimic.view.report.evidence import evidence
 from mimic.view.report.motion import by_phase, other_measures, worst_seconds
-from mimic.view.report.plots import Unit, against_state, over_time, spectra, stage_errors, torque_over_time, unit_for
-from mimic.view.report.sections import fixed, key, page, pretty, section, table, tiles, title_of
+from mimic.view.report.plots import Unit, against_state, over_time, spectra, torque_over_time, unit_for
+from mimic.view.report.sections import key, page, pretty, section, table, tiles
 from mimic.view.report.svg import figure, number
-
-_VERDICTS = {
-    "explained": "explained down to the noise floor",
-    "state-dependent": "depends on the state: an effect outside the catalogue",
-    "periodic": "periodic, independent of the motion: an external disturbance",
-    "broadband": "broadband: disturbance or timing",
-    "events": "isolated events: delayed or lost targets, impacts, mechanical catching",
-}
 
 
 def write_report(calibration: Calibration, path: Path) -> Path:
@@ -74,43 +67,36 @@ def _header(c: Calibration, title: str) -> str:
 
 
 def _tiles(c: Calibration, unit: Unit) -> str:
-    last = c.stages[-1].errors if c.stages else c.nominal
-    baseline = c.stages[0].errors if c.stages else c.nominal
-    found = [s.added for s in c.stages if s.added not in ("", "baseline")]
     return tiles(
         [
-            (unit.text(Errors.total(c.nominal.held_out)), "held-out error of the model as given"),
-            (unit.text(Errors.total(baseline.held_out)), "with the baseline parameters fitted"),
-            (unit.text(Errors.total(last.held_out)), "with the effects found"),
+            (unit.text(Errors.total(c.nominal.held_out)), "error of the model as given"),
+            (unit.text(Errors.total(c.baseline.held_out)), "held out, with the baseline parameters fitted"),
+            (unit.text(Errors.total(c.final.held_out)), "held out, with the effects found"),
             (unit.text(Errors.total(c.noise)), "noise floor"),
-            (str(len(found)), "effects found"),
+            (str(len(c.found)), "effects found"),
         ]
     )
 
 
 def _effects(c: Calibration) -> str:
-    effects: EffectSet = c.effects
-    stages = {s.added: s for s in c.stages}
-    found = [e for e in effects if e.name in stages]
     parts = []
-    for e in found:
-        spec = CATALOGUE[e.name]
-        alternatives = ", ".join(title_of(r) for r in stages[e.name].alternatives)
-        note = (
-            f"<p class='lead'>Alternatives this log cannot rule out: <b>{escape(alternatives)}</b>.</p>"
-            if alternatives
-            else ""
-        )
+    for one in c.found:
+        spec = CATALOGUE[one.name]
+        values = [e for e in c.effects if e.name == one.name]
+        evidence = f"{number(one.evidence)} nats of evidence, {100 * one.share:.0f} % of the unexplained error removed"
+        note = f"<p class='lead'>{evidence if one.evidence else 'Read off the log.'}</p>"
         equation = f"<p class='key'><code>{escape(spec.equation)}</code></p>"
-        parts.append(f"<h3>{escape(spec.title)}</h3>{equation}{note}{_values([e], e.joints, c.unit)}")
-    if not found:
+        parts.append(f"<h3>{escape(spec.title)}</h3>{equation}{note}{_values(values, one.joints, c.unit)}")
+    for other in c.alternatives:
+        text = f"{escape(called(other.effects, c.joints))} <small>({number(other.behind)} nats behind)</small>"
+        parts.append(f"<p class='lead'>Alternative this log cannot rule out: <b>{text}</b>.</p>")
+    if not c.found:
         parts.append("<p class='lead'>No effect improved on the baseline model.</p>")
-    return section("What the model lacked", "With 95 % intervals." if found else "", *parts)
+    return section("What the model lacked", "With 95 % intervals." if c.found else "", *parts)
 
 
 def _baseline(c: Calibration) -> str:
-    added = {s.added for s in c.stages}
-    baseline = [e for e in c.effects if e.name not in added]
+    baseline = [e for e in c.effects if e.name not in c.names]
     whole = [e for e in baseline if not e.joints]
     by_joint = [e for e in baseline if e.joints]
     tables = [_values(by_joint, c.joints, c.unit)] if by_joint else []
@@ -158,11 +144,7 @@ def _value(e: EffectValues, parameter: str, i: int) -> str:
 
 
 def _errors(c: Calibration, unit: Unit) -> str:
-    columns = [("as given", c.nominal)]
-    if c.stages:
-        columns.append(("baseline fitted", c.stages[0].errors))
-    if len(c.stages) > 1:
-        columns.append(("final", c.stages[-1].errors))
+    columns = [("as given", c.nominal), ("baseline fitted", c.baseline), ("final", c.final)]
     last = columns[-1][1]
     shown = (f"{name}<br><small>train / held out</small>" for name, _ in columns)
     headings = ["joint", *shown, "noise floor", "final / noise"]
@@ -173,18 +155,17 @@ def _errors(c: Calibration, unit: Unit) -> str:
             for _, e in columns
         ]
         ratio = pick(last.held_out) / max(pick(c.noise), 1e-300)
-        explained = f"<span class=good>{figure(ratio)}</span>" if ratio < 1.2 else figure(ratio)
+        explained = f"<span class=good>{figure(ratio)}</span>" if ratio < EXPLAINED else figure(ratio)
         return [*cells, figure(pick(c.noise) * unit.factor), explained]
 
     rows = [("", [escape(joint), *row(lambda v, i=i: float(v[i]))]) for i, joint in enumerate(c.joints)]
     if len(c.joints) > 1:
         rows.append(("total", ["all", *row(Errors.total)]))
-    names = ["as given", *(title_of(s.added) for s in c.stages)]
     lead = (
-        f"Root mean square of measured − predicted [{unit.name}]. The held-out blocks were used neither for fitting"
-        " nor for selection."
+        f"Root mean square of measured − predicted [{unit.name}], to the end of blocks of 1.5 s. Held out: each block"
+        " is predicted by a fit without it and every sixth block beside."
     )
-    return section("Errors", lead, stage_errors(c, unit, names), table(headings, rows), other_measures(c))
+    return section("Errors", lead, table(headings, rows), other_measures(c))
 
 
 def _logs(c: Calibration, unit: Unit) -> str:
@@ -205,27 +186,17 @@ def _logs(c: Calibration, unit: Unit) -> str:
 
 
 def _unexplained(c: Calibration) -> str:
+    unit = "N" if c.unit == "m" else "N m"
     rows = []
     for r in c.unexplained:
-        verdict = escape(_VERDICTS.get(r.verdict, r.verdict))
-        if r.depends_on:
-            verdict += f" <small>(on {escape(' and '.join(r.depends_on))})</small>"
-        if r.verdict == "periodic":
-            verdict += f" <small>(near {number(r.peak_hz)} Hz)</small>"
-        kind = "good" if r.verdict == "explained" else ""
-        rows.append(
-            f"<tr><td class=name>{escape(r.joint)}</td><td class=n>{figure(r.ratio)}</td>"
-            f"<td class=n>{fixed(r.state_r2, 2)}</td>"
-            f"<td class=n>{figure(r.peak_ratio)} <small>at {number(r.peak_hz)} Hz</small></td>"
-            f"<td class='why {kind}'>{verdict}</td></tr>"
+        on = ", ".join(f"{escape(name)} <small>({100 * share:.0f} %)</small>" for name, share in r.depends_on)
+        verdict = (
+            "explained down to the noise floor" if r.explained else f"unknown torque, depends on {on or 'nothing'}"
         )
-    head = (
-        "<tr><th>joint</th><th class=n>error / noise</th><th class=n>predicted by the state, R²</th>"
-        "<th class=n>peak / median</th><th>verdict</th></tr>"
-    )
-    table = (
-        f"<div class='wide'><table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table></div>" if rows else ""
-    )
+        torque = f"{figure(r.torque)} {unit}"
+        rows.append(("", [escape(r.joint), figure(r.ratio), torque, verdict]))
+    headings = ["joint", "error / noise", "unknown torque that explains the rest", "verdict"]
+    table_of_joints = table(headings, rows) if rows else ""
     lists = (
         ("What to log next", c.experiments),
         ("Warnings", c.warnings),
@@ -234,18 +205,18 @@ def _unexplained(c: Calibration) -> str:
     for title, lines in lists:
         if lines:
             texts += f"<h3>{title}</h3><ul>{''.join(f'<li>{escape(x)}</li>' for x in lines)}</ul>"
-    return section("Unexplained residual", "", table, texts)
+    return section("Unexplained residual", "", table_of_joints, texts)
 
 
 def _residuals(c: Calibration, unit: Unit) -> str:
     models = {"before": "baseline model", "after": "final model"}
-    timed = key(**models, held="held out")
+    timed = key(**models)
     noisy = key(**models, noise="noise floor")
     torques = torque_over_time(c)
     return "".join(
         (
             section("Residual over time", "Measured − predicted.", timed, *over_time(c, unit)),
-            section("Residual of the measured torque", "", timed, *torques) if torques else "",
+            section("Residual of the measured torque", "Compared, not fitted.", timed, *torques) if torques else "",
             section(
                 "Residual against the state",
                 "Median and middle 80 % of the readings. An explained residual is flat at zero.",
@@ -258,7 +229,7 @@ def _residuals(c: Calibration, unit: Unit) -> str:
 
 
 def _footer(c: Calibration) -> str:
-    rows = [("replays", f"{c.replays:,}".replace(",", " ")), ("time", f"{c.seconds:.0f} s"), *_flat(c.metadata)]
+    rows = [("passes", f"{c.passes:,}".replace(",", " ")), ("time", f"{c.seconds:.0f} s"), *_flat(c.metadata)]
     cells = "".join(f"<tr><th>{escape(str(k))}</th><td>{escape(str(v))}</td></tr>" for k, v in rows)
     return f"<footer><table>{cells}</table></footer>"
 

@@ -152,9 +152,6 @@ def other_measures(c: Calibration) -> str:
     """Return a table of held-out errors as root mean square and mean absolute error, for angles in mrad and degrees."""
     traces = c.traces
     units = (("mrad", 1e3), ("°", 180.0 / np.pi)) if c.unit == "rad" else (("mm", 1e3),)
-    held = traces.held_out.astype(bool)
-    if not held.any():
-        return ""
     headings = ["joint, held out"]
     for stage in ("baseline", "final"):
         headings += [f"{stage}<br><small>{m} [{u}]</small>" for m in ("RMS", "MAE") for u, _ in units]
@@ -162,7 +159,7 @@ def other_measures(c: Calibration) -> str:
     def cells(columns: slice | int) -> list[str]:
         found = []
         for residual in (traces.before, traces.after):
-            part = residual[held][:, columns]
+            part = residual[:, columns]
             sizes = (np.sqrt(np.nanmean(part**2)), np.nanmean(np.abs(part)))
             found += [figure(float(size) * factor) for size in sizes for _, factor in units]
         return found

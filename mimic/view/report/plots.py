@@ -29,7 +29,7 @@ class Unit:
 
 def unit_for(calibration: Calibration) -> Unit:
     """Return the unit in which the errors have one to three digits before the point."""
-    errors = [calibration.nominal, *(s.errors for s in calibration.stages)]
+    errors = [calibration.nominal, calibration.baseline, calibration.final]
     return unit_of_size(max((Errors.total(e.held_out) for e in errors), default=1.0), calibration.unit)
 
 
@@ -46,7 +46,7 @@ def _spread(values: FloatArray) -> float:
 
 
 def over_time(calibration: Calibration, unit: Unit) -> list[str]:
-    """Return a plot for each joint: residual before and after over time, held-out blocks shaded."""
+    """Return a plot for each joint: residual before and after over time."""
     traces = calibration.traces
     return _over_time(calibration, traces.before * unit.factor, traces.after * unit.factor, unit.name)
 
@@ -73,7 +73,6 @@ def _over_time(calibration: Calibration, before: FloatArray, after: FloatArray, 
             y_label=f"rms {rms} {unit}",
             x_label="time [s]" if j + 1 == len(calibration.joints) else "",
         )
-        plot.shade(traces.t, traces.held_out.astype(bool))
         plot.curve(traces.t, before[:, j], "before")
         plot.curve(traces.t, after[:, j], "after")
         plots.append(plot.svg(f"residual of {joint} over time, before and after"))
@@ -168,24 +167,3 @@ def _log_binned(x: FloatArray, y: FloatArray, bins: int = 110) -> tuple[FloatArr
     means = np.array([np.sqrt((y[g] ** 2).mean()) for g in groups])
     peaks = np.array([y[g].max() for g in groups])
     return np.array([x[g].mean() for g in groups]), np.where(peaks > 2.0 * means, peaks, means)
-
-
-def stage_errors(calibration: Calibration, unit: Unit, names: list[str]) -> str:
-    """Return the held-out error from the model as given to the last stage, over the noise floor."""
-    errors = [calibration.nominal, *(s.errors for s in calibration.stages)]
-    y = np.array([Errors.total(e.held_out) for e in errors]) * unit.factor
-    x = np.arange(len(y), dtype=np.float64)
-    floor = Errors.total(calibration.noise) * unit.factor
-    plot = Plot(
-        x=(-0.4, len(y) - 0.6),
-        y=(min(y.min(), floor) * 0.6, y.max() * 1.6),
-        size=(900, 170),
-        title="held-out error, all joints",
-        y_label=unit.name,
-        log=(False, True),
-        marks=(False, True),
-    )
-    plot.level(floor, "noise", "noise floor")
-    plot.curve(x, y, "after thick")
-    plot.dots(x, y, "after", [*names])
-    return plot.svg("held-out error after each stage")

@@ -7,7 +7,6 @@ from html import escape
 
 import numpy as np
 
-from mimic.dynamics.catalogue import CATALOGUE
 from mimic.view.report.style import STYLE
 
 
@@ -32,11 +31,6 @@ def key(**marks: str) -> str:
     colours = {kind: f" style='--c:var(--{kind})'" for kind in ("before", "after")}
     texts = (f"<span><i class='{kind}'{colours.get(kind, '')}></i>{text}</span>" for kind, text in marks.items())
     return f"<p class='key'>{''.join(texts)}</p>"
-
-
-def title_of(name: str) -> str:
-    """Return the title of an effect or a stage, for use in a sentence."""
-    return {"baseline": "baseline model", "": "nothing more"}.get(name) or CATALOGUE[name].title
 
 
 def section(title: str, lead: str, *parts: str) -> str:

@@ -2,9 +2,9 @@
 
 STYLE = """
 :root{--ink:#1b1f24;--soft:#5f6b7a;--faint:#e3e7ec;--page:#fff;--card:#f6f7f9;--before:#c4762b;--after:#1f6feb;
---held:#1b1f2410;--good:#18794e;--bad:#b42318;--grid:#e3e7ec;color-scheme:light dark}
+--good:#18794e;--bad:#b42318;--grid:#e3e7ec;color-scheme:light dark}
 @media(prefers-color-scheme:dark){:root{--ink:#e8eaed;--soft:#9aa4b2;--faint:#2b313a;--page:#14171c;--card:#1c2027;
---before:#e09a52;--after:#6ea8ff;--held:#ffffff12;--good:#5ec28d;--bad:#f0806f;--grid:#2b313a}}
+--before:#e09a52;--after:#6ea8ff;--good:#5ec28d;--bad:#f0806f;--grid:#2b313a}}
 *{box-sizing:border-box}
 body{margin:0 auto;padding:40px 28px 80px;max-width:1060px;background:var(--page);color:var(--ink);
 font:15px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif;
@@ -44,7 +44,6 @@ border-radius:2px;vertical-align:baseline}
 .key i{display:inline-block;width:18px;height:3px;margin:0 6px 3px 0;vertical-align:middle}
 .key i.before,.key i.after{background:var(--c)}.key span{margin-right:18px}
 .key i.noise{height:0;border-top:2px dashed var(--soft)}
-.key i.held{height:11px;background:var(--held);border:1px solid var(--faint)}
 .key i.measured{background:var(--ink)}.key i.target{height:0;border-top:2px dotted var(--soft)}
 .grid2{display:grid;grid-template-columns:repeat(auto-fill,minmax(400px,1fr));gap:6px 14px}
 .grid3{display:grid;grid-template-columns:repeat(auto-fill,minmax(290px,1fr));gap:6px 14px}
@@ -61,14 +60,13 @@ svg .thick{stroke-width:1.8}
 svg .noise{stroke:var(--soft);stroke-dasharray:4 3}
 svg .band{stroke:none}svg .band.before{fill:var(--before);opacity:.16}svg .band.after{fill:var(--after);opacity:.2}
 svg circle.after{fill:var(--after);stroke:none}svg circle.before{fill:var(--before);stroke:none}
-svg .held{fill:var(--held)}
 svg text.note{stroke:none}
 details{margin:4px 0}summary{cursor:pointer;color:var(--soft);font-size:13px}
 ul{margin:4px 0;padding-left:20px}li{margin:3px 0}
 footer{margin-top:48px;padding-top:12px;border-top:1px solid var(--faint);color:var(--soft);font-size:12.5px}
 footer td,footer th{font-size:12.5px;padding:2px 10px 2px 0;border:0}
 @media print{:root{--ink:#000;--soft:#444;--faint:#ccc;--page:#fff;--card:#f4f4f4;--before:#b86a1f;--after:#1257c4;
---held:#0000000d;--good:#18794e;--bad:#b42318;--grid:#ddd}
+--good:#18794e;--bad:#b42318;--grid:#ddd}
 body{max-width:none;padding:0;font-size:11px}table,small,.key,code{font-size:10.5px}p.verdict{font-size:15px}h2{margin-top:22px;break-after:avoid}
 h3{break-after:avoid}tr{break-inside:avoid}.tile{-webkit-print-color-adjust:exact;print-color-adjust:exact}
 .bar,.bar i,tr.taken td{-webkit-print-color-adjust:exact;print-color-adjust:exact}}

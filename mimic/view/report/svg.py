@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from mimic.records import BoolArray, FloatArray
+from mimic.records import FloatArray
 
 LEFT = 46
 """Margin on the left of the axes [px]."""
@@ -145,17 +145,6 @@ class Plot:
     @staticmethod
     def _text(x: float, y: float, text: str, kind: str) -> str:
         return f"<text class='{kind}' x='{x:.1f}' y='{y:.1f}'>{escape(text)}</text>"
-
-    def shade(self, t: FloatArray, where: BoolArray) -> None:
-        """Shade the intervals of t in which ``where`` is true."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], where.astype(np.int8), [0]])))
-        base = self.height - self._bottom
-        for a, b in zip(edges[::2], edges[1::2], strict=True):
-            px, _ = self._at(np.array([t[a], t[min(b, len(t) - 1)]]), np.zeros(2) + 10 ** self._y[0])
-            self._parts.append(
-                f"<rect class='held' x='{px[0]:.1f}' y='{TOP}' width='{max(px[1] - px[0], 0.5):.1f}'"
-                f" height='{base - TOP}'/>"
-            )
 
     def curve(self, x: FloatArray, y: FloatArray, kind: str) -> None:
         """Draw a curve; a long one is reduced to the lowest and highest sample per pixel column."""

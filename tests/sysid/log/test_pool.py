@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mimic.config.sysid import CalibrateSettings, LogSettings
-from mimic.dynamics.catalogue import BASELINE
+from mimic.config.sysid import LogSettings
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine, with_gains
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.sysid.fit.baseline import problem_of
-from mimic.sysid.fit.problem import Point
-from mimic.sysid.log.pool import make_blocks, pool
-from mimic.sysid.predict import simulate_log
+from mimic.sysid.engine.data import data_of
+from mimic.sysid.engine.likelihood import FOLLOWING
+from mimic.sysid.engine.model import setting_of
+from mimic.sysid.log.pool import pool
+from mimic.sysid.predict import predict, simulate_log
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
 <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.004 0.004 0.0001"/><site pos="0 0 -0.15"/></body></worldbody>
@@ -43,9 +43,10 @@ def swung(machine: MachineModel, seconds: float = 6.0, payload: float = 0.0, **n
 
 def left(logs: list[JointLog], machine: MachineModel) -> np.ndarray:
     """Return what the machine as given leaves of each log [rad]."""
-    problem = problem_of(pool(logs, machine, 0.0005), machine, CalibrateSettings(threads=1))
-    residual = problem.residuals([Point.of(BASELINE, machine)])[0] * problem.noise
-    return np.array([np.sqrt(np.nanmean(residual[part.slice] ** 2)) for part in problem.replay.parts])
+    data = data_of(logs, machine)
+    setting = setting_of(data)
+    (e,) = setting.passes.run([setting.blank], setting.gains.of(FOLLOWING * setting.gains.torque))
+    return np.array([np.sqrt(np.mean(e[data.counts[:, 0] & (data.record.log == k)] ** 2)) for k in range(data.logs)])
 
 
 def test_each_log_is_replayed_with_its_own_gains_and_payload(pendulum: MachineModel) -> None:
@@ -87,73 +88,11 @@ def test_a_drive_that_is_switched_off_lets_its_joint_fall(pendulum: MachineModel
         extra={"enabled": on.astype(float)},
         metadata={"kp": 20.0, "kd": 0.8, "sent": "row"},
     )
-    problem = problem_of(log, free, CalibrateSettings(threads=1, timestep=0.0005))
-    none = {("coulomb", "level"): np.zeros((1, 1)), ("viscous", "coefficient"): np.zeros((1, 1))}
-    residual = problem.replay.run(none, 1).residual[0, :, 0]
-    assert np.nanmax(np.abs(residual)) < 0.02
-    without = problem_of(replace(log, extra={}), free, CalibrateSettings(threads=1, timestep=0.0005))
-    assert np.nanmax(np.abs(without.replay.run(none, 1).residual)) > 0.5
-
-
-def test_the_last_reading_of_a_log_before_others_is_replayed_in_any_step(pendulum: MachineModel) -> None:
-    """A row that fine steps lack and coarse ones have would make every fit look as if it had blown up.
-
-    The drive is off from 2 s on, so that in fine steps no piece is longer than the rest of the first log.
-    """
-    whole = swung(pendulum, kp=20.0, kd=0.8)
-    first = whole.part(slice(1000))
-    t = np.append(first.t[:-1], first.t[-1] + 0.0011)
-    first = replace(first, t=t, extra={"enabled": (t < 2.0).astype(float)})
-    problem = problem_of(
-        pool([first, whole], pendulum, 0.0025), pendulum, CalibrateSettings(threads=1, timestep=0.0025)
-    )
-    start = Point.of(BASELINE, pendulum)
-    counted = np.isfinite(problem.residuals([start])[0]).all(axis=1)
-    assert counted[len(t) - 1]
-    assert np.isfinite(problem.in_fine_steps([start])[0][counted]).all()
-
-
-def test_a_log_is_judged_alike_whatever_logs_are_before_it(pendulum: MachineModel) -> None:
-    """Its residual, the blocks that are held out of it and the times of its targets, which a log with a clock of its
-    own for them and one without would have each decide for the other.
-    """
-    rng = np.random.default_rng(0)
-    long, short = (replace(log, metadata={"kp": 20.0, "kd": 0.8}) for log in (swung(pendulum), swung(pendulum, 5.4)))
-    beside = replace(long, t=long.t + 0.0004 * rng.standard_normal(len(long.t)))
-    uneven = np.maximum.accumulate(short.t + 0.004 * rng.uniform(size=len(short.t)))
-    assert short.q_des is not None
-    shown = np.searchsorted(short.t, uneven + 1e-9) - 1
-    odd = replace(short, t=uneven, q_des=short.q_des[np.maximum(shown - 3 * rng.integers(0, 2, len(shown)), 0)])
-    start, settings = Point.of(BASELINE, pendulum), CalibrateSettings(threads=1, timestep=0.0025)
-    seen: dict[str, list[Any]] = {}
-    for logs in ((beside, odd), (odd, beside)):
-        names = tuple("beside" if one is beside else "odd" for one in logs)
-        problem = problem_of(pool(list(logs), pendulum, 0.0025, names), pendulum, settings)
-        residual, blocks = problem.residuals([start])[0], problem.blocks
-        for part in problem.replay.parts:
-            index = blocks.index[part.slice]
-            held = np.where(index < 0, -1, blocks.held_out[np.maximum(index, 0)])
-            rows = [(one.rows >= part.slice.start) & (one.rows < part.slice.stop) for one in problem.sending]
-            times = [one.at[own] - part.begin for one, own in zip(problem.sending, rows, strict=True)]
-            seen.setdefault(part.name, []).append((residual[part.slice], held, times))
-    for one, other in seen.values():
-        assert np.allclose(one[0], other[0], atol=0.02, equal_nan=True)
-        assert np.isfinite(one[0][-1]).all()
-        assert np.array_equal(one[1], other[1])
-        assert len(one[2]) == len(other[2]) > 1
-        for early, late in zip(one[2], other[2], strict=True):
-            assert late == pytest.approx(early)
-
-
-def test_a_block_in_which_a_drive_is_switched_is_fitted_and_the_next_is_held_out() -> None:
-    t = np.arange(0.0, 12.0, 0.01)
-    logs, counts = [slice(0, 600), slice(600, 1200)], np.ones(len(t), dtype=bool)
-    plain = make_blocks(t, counts, logs=logs)
-    assert plain.index[[0, 599, 600, 1199]].tolist() == [0, 5, 6, 11]
-    assert np.flatnonzero(plain.held_out).tolist() == [2, 8]
-    on = np.ones((len(t), 2), dtype=bool)
-    on[850:1100, 1] = False  # from 2.5 s of the second log
-    assert np.flatnonzero(make_blocks(t, counts, logs=logs, enabled=on).held_out).tolist() == [2, 9]
+    none = {"coulomb": "level", "viscous": "coefficient"}
+    smooth = EffectSet(tuple(EffectValues(name=n, joints=("hinge",), values={p: np.zeros(1)}) for n, p in none.items()))
+    assert np.nanmax(np.abs(predict(log, free, smooth, whole=True))) < 0.02
+    on_all_along = replace(log, extra={})
+    assert np.nanmax(np.abs(predict(on_all_along, free, smooth, whole=True))) > 0.5
 
 
 def test_a_lower_supply_moves_the_torque_speed_line(pendulum: MachineModel) -> None:
@@ -192,4 +131,4 @@ def test_logs_that_contradict_each_other_are_refused_with_both_names(
         changed["force"] = np.zeros_like(log.q)
     other = replace(log, **changed)
     with pytest.raises(CalibrationError, match=message):
-        pool([log, other], pendulum, 0.0025, ("a.parquet", "b.csv"))
+        pool([log, other], pendulum, ("a.parquet", "b.csv"))

@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.sysid.result import Calibration, Candidate, Correlations, Errors, Stage, Traces, UnexplainedResidual
+from mimic.sysid.result import (
+    Alternative,
+    Calibration,
+    Candidate,
+    Correlations,
+    Errors,
+    Found,
+    Stage,
+    Traces,
+    UnexplainedResidual,
+)
 from mimic.view.report.html import html_report, write_report
 
 JOINTS = ("FL_abad", "FL_hip", "FL_knee", "FR_abad", "FR_hip", "FR_knee")
@@ -35,19 +45,6 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
     def errors(scale: float) -> Errors:
         return Errors(train=scale * noise * (1 + 0.02 * phase), held_out=scale * noise * (1.05 + 0.02 * phase))
 
-    def candidate(name: str, gain: float, z: float, why: str = "", **values: float) -> Candidate:
-        return Candidate(
-            name=name,
-            gain=gain,
-            z=z,
-            improvement=max(gain, 0) * 9,
-            values={k: np.full(n, v) for k, v in values.items()},
-            joints=JOINTS,
-            accepted=not why,
-            why=why,
-            alternative_z=1.1 if why.startswith("as good") else 6.0,
-        )
-
     row = {k: np.full(n, v) for k, v in {"level": 0.213, "speed": 0.118}.items()}
     interval = {k: np.stack([0.9 * v, 1.1 * v], -1) for k, v in row.items()}
     return Calibration(
@@ -55,29 +52,28 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
         unit=unit,
         noise=noise,
         nominal=errors(16.4),
-        stages=(
-            Stage(added="baseline", errors=errors(4.4)),
+        baseline=errors(4.4),
+        final=errors(1.07),
+        found=(
+            Found(name="stribeck", joints=JOINTS, evidence=812.0, share=0.93),
+            Found(name="armature", joints=JOINTS, evidence=47.0, share=0.04),
+        ),
+        alternatives=(Alternative(effects=(("stribeck", JOINTS), ("torque_lag", JOINTS[:2])), behind=3.1),),
+        tried=(
             Stage(
-                added="stribeck",
-                errors=errors(1.5),
-                candidates=(
-                    candidate("stribeck", 1.21, 14.2, level=0.21, speed=0.12),
-                    candidate("backlash", 0.42, 6.1, "another effect gains more", gap=0.004),
-                    candidate("load_friction", 0.11, 4.0, "another effect gains more", ratio=0.05),
-                    candidate("encoder_offset", 0.006, 1.2, "z 1.2 is below 3", angle=0.002),
-                    candidate("kt_gain", 0.012, 0.9, "z 0.9 is below 3", factor=1.04),
-                    candidate("cogging", 0.001, 0.3, "gain below 1 %", cosine=0.004, sine=0.001, order=20.0),
-                    candidate("quadratic_drag", -0.004, -0.8, "worse on held-out blocks", coefficient=0.001),
+                beside=(),
+                candidates=tuple(
+                    Candidate(name=name, joints=JOINTS[:3], gain=gain, fitted=gain > 100.0)
+                    for name, gain in (
+                        ("stribeck", 812.0),
+                        ("backlash", 310.0),
+                        ("load_friction", 60.0),
+                        ("encoder_offset", 1.2),
+                        ("kt_gain", 0.9),
+                        ("cogging", 0.3),
+                        ("quadratic_drag", -7.6),
+                    )
                 ),
-            ),
-            Stage(
-                added="armature",
-                errors=errors(1.07),
-                candidates=(
-                    candidate("armature", 0.31, 9.0, inertia=0.0061),
-                    candidate("torque_lag", 0.29, 7.7, "as good as the chosen one", time=0.0021),
-                ),
-                alternatives=("torque_lag",),
             ),
         ),
         effects=EffectSet(
@@ -92,11 +88,8 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
             UnexplainedResidual(
                 joint=j,
                 ratio=2.3 if i == 2 else 1.06,
-                state_r2=-0.12,
-                depends_on=(),
-                peak_hz=9.0 if i == 2 else 3.1,
-                peak_ratio=412.0 if i == 2 else 2.4,
-                verdict="periodic" if i == 2 else "explained",
+                torque=0.4,
+                depends_on=(("position of FL_hip", 0.31),) if i == 2 else (),
             )
             for i, j in enumerate(JOINTS)
         ),
@@ -105,7 +98,6 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
         warnings=("about 12 readings are missing (0.1%)",),
         traces=Traces(
             t=t,
-            held_out=(t // 1.5).astype(int) % 4 == 2,
             q=q,
             dq=dq,
             tau=4 * np.sin(3 * q) + 0.3 * dq,
@@ -113,7 +105,7 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
             after=after,
             target=q + 0.02,
         ),
-        replays=5321,
+        passes=5321,
         seconds=73.4,
         metadata={"name": "probe.parquet", "rate": 200.0, "log": {"kp": 30.0, "kd": 3.0}},
     )
@@ -176,9 +168,10 @@ def test_the_verdict_and_every_finding_stand_on_it(calibration: Calibration, pag
     assert calibration.sentence in page.text
     for line in (*calibration.experiments, *calibration.warnings):
         assert line in page.text
-    assert "cannot be ruled out" in page.text
-    assert "z 1.2 is below 3" in page.text
-    assert "near 9 Hz" in page.text
+    assert "cannot rule out" in page.text
+    assert "lag of the current loop in FL_abad, FL_hip" in page.text
+    assert "−7.6" in page.text
+    assert "position of FL_hip" in page.text
     for joint in JOINTS:
         assert page.text.count(joint) >= 8
 
@@ -186,7 +179,8 @@ def test_the_verdict_and_every_finding_stand_on_it(calibration: Calibration, pag
 def test_errors_are_in_a_readable_unit(page: Page) -> None:
     assert "mrad" in page.text
     small = made_up(unit="m")
-    tiny = replace(small, nominal=Errors(train=1e-3 * small.noise, held_out=1e-3 * small.noise), stages=())
+    little = Errors(train=1e-3 * small.noise, held_out=1e-3 * small.noise)
+    tiny = replace(small, nominal=little, baseline=little, final=little)
     sliding = Page(html_report(tiny)).text
     assert "µm" in sliding
     assert "[N s/m]" not in sliding
@@ -203,23 +197,18 @@ def test_values_have_units_and_intervals(page: Page) -> None:
 
 def test_each_joint_has_its_plots(calibration: Calibration, page: Page) -> None:
     n = len(JOINTS)
-    assert page.tags.count("svg") == n + n + 3 * n + n + 1
-    without = page.tags.count("rect")
-    nothing_held = replace(calibration.traces, held_out=np.zeros(len(calibration.traces.t), dtype=bool))
-    assert Page(html_report(replace(calibration, traces=nothing_held))).tags.count("rect") == 0 < without
+    assert page.tags.count("svg") == n + n + 3 * n + n
 
 
 def test_a_log_of_another_machine_is_said_first(calibration: Calibration) -> None:
-    page = Page(html_report(replace(calibration, log_matches_model=False, stages=calibration.stages[:1])))
+    page = Page(html_report(replace(calibration, log_matches_model=False, tried=())))
     assert page.text.index("does not match the model") < page.text.index(calibration.sentence)
     assert "Evidence" not in page.text
 
 
 def test_nothing_found_is_said(calibration: Calibration) -> None:
-    tried = replace(calibration.stages[1], added="", candidates=calibration.stages[1].candidates[3:])
     alone = EffectSet(tuple(calibration.effects)[:2])
-    page = Page(html_report(replace(calibration, stages=(calibration.stages[0], tried), effects=alone)))
-    assert "no effect accepted" in page.text
+    page = Page(html_report(replace(calibration, found=(), alternatives=(), effects=alone)))
     assert "No effect improved on the baseline model" in page.text
 
 
@@ -234,7 +223,7 @@ def test_missing_readings_and_unknown_intervals_do_no_harm(calibration: Calibrat
     after[100:400] = np.nan
     unknown = EffectValues(name="delay", values={"time": 0.01}, intervals={"time": np.full((1, 2), np.nan)})
     effects = EffectSet((unknown,))
-    page = html_report(replace(calibration, traces=replace(calibration.traces, after=after), effects=effects))
+    page = html_report(replace(calibration, found=(), traces=replace(calibration.traces, after=after), effects=effects))
     assert "nan" not in re.sub(r"<style>.*?</style>", "", page, flags=re.S)
 
 
@@ -246,7 +235,7 @@ def test_the_file_is_the_page(calibration: Calibration, tmp_path: Path) -> None:
 
 def test_a_number_on_its_bound_is_marked(calibration: Calibration) -> None:
     heavy = EffectValues(name="link_mass", joints=JOINTS, values={"factor": [3.0, 1.0, 1.0, 0.3, 1.0, 1.0]})
-    page = html_report(replace(calibration, effects=EffectSet((heavy,))))
+    page = html_report(replace(calibration, effects=EffectSet((heavy,)), found=()))
     assert page.count("at its bound: do not") == 2
 
 
@@ -274,7 +263,6 @@ def test_correlated_numbers_are_listed_and_mapped(calibration: Calibration, page
 
 
 def test_errors_stand_in_degrees_and_as_mean_absolute_error(calibration: Calibration, page: Page) -> None:
-    held = calibration.traces.held_out
-    residual = np.rad2deg(calibration.traces.after[held])
+    residual = np.rad2deg(calibration.traces.after)
     for size in (np.sqrt(np.mean(residual**2)), np.mean(np.abs(residual))):
         assert f"{size:.4f}" in page.text

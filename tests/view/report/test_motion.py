@@ -18,7 +18,7 @@ def traces() -> Traces:
     q = np.where(moves, np.sin(0.5 * np.pi * T), 0.0)[:, None]
     dq = np.where(moves, 0.5 * np.pi * np.cos(0.5 * np.pi * T), 0.0)[:, None]
     after = np.where((T >= 5.0) & (T < 5.5), 0.2, 0.01)[:, None]
-    return Traces(t=T, held_out=T < 0, q=q, dq=dq, tau=dq, before=after, after=after)
+    return Traces(t=T, q=q, dq=dq, tau=dq, before=after, after=after)
 
 
 def test_the_worst_second_holds_the_largest_error(traces: Traces) -> None:
@@ -44,7 +44,7 @@ def test_missing_errors_count_as_none(traces: Traces) -> None:
 
 
 def test_a_log_shorter_than_a_second_is_shown_whole(traces: Traces) -> None:
-    short = {k: getattr(traces, k)[:50] for k in ("t", "held_out", "q", "dq", "tau", "before", "after")}
+    short = {k: getattr(traces, k)[:50] for k in ("t", "q", "dq", "tau", "before", "after")}
     assert worst_second(Traces(**short), 0) == slice(0, 50)
 
 

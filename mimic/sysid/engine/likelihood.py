@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from lab.innovations.data import Data
 from mimic.records import FloatArray
+from mimic.sysid.engine.data import Data
 
 FREEDOM = 8.0
 """Degrees of freedom: tails as those of stick and slip, and of single wrong readings. Source: Lange, Little, Taylor
@@ -18,7 +18,8 @@ DECAY = 0.1
 FOLLOWING = 0.1
 """Unknown torque while readings are followed, as a share of the torque of the joint."""
 
-SPEED_NOISE, LEAST_NOISE = 0.05, 1e-7
+SPEED_NOISE = 0.05
+LEAST_NOISE = 1e-7
 """Share of the unknown torque that acts on the speed at once, and least noise of a state: keep gains finite."""
 
 
@@ -63,11 +64,18 @@ class Gains:
             damping: Viscous damping beside the drive's (J,) [N m s/rad].
             torque: Usual torque of each joint (J,) [N m].
         """
-        self._data, self._inertia, self._damping, self.torque = data, inertia, damping, torque
+        self._data = data
+        self.inertia = inertia
+        self.damping = damping
+        self.torque = torque
         self._known: dict[tuple[int, int, int, float], FloatArray] = {}
         record = data.record
         steps = np.diff(record.t)
         self._steps = [float(np.median(steps[(record.log[1:] == k) & ~record.fresh[1:]])) for k in range(data.logs)]
+
+    def over(self, data: Data) -> Gains:
+        """Return the gains of the same machine over other logs."""
+        return Gains(data, self.inertia, self.damping, self.torque)
 
     def of(self, unknown: FloatArray) -> FloatArray:
         """Return the gains (L, 2, 2, J, 3) of the first start and of those of blocks, with drives off and on, at these
@@ -87,8 +95,11 @@ class Gains:
         return self._known[key]
 
     def _steady(self, log: int, j: int, on: int, size: float) -> FloatArray:
-        record, mass, h = self._data.record, float(self._inertia[j]), self._steps[log]
-        stiff, damp = on * record.kp[log, j] / mass, (on * record.kd[log, j] + self._damping[j]) / mass
+        record = self._data.record
+        mass = float(self.inertia[j])
+        h = self._steps[log]
+        stiff = on * record.kp[log, j] / mass
+        damp = (on * record.kd[log, j] + self.damping[j]) / mass
         noise = float(self._data.noise[j])
         a = expm(np.array([[0.0, 1.0, 0.0], [-stiff, -damp, size / mass], [0.0, 0.0, -1.0 / DECAY]]) * h)
         enters = np.array([0.5 * h * h * size / mass, h * size / mass, 1.0])
@@ -97,7 +108,8 @@ class Gains:
         added += np.diag([(1e-3 * noise) ** 2, quick + (LEAST_NOISE * noise / h) ** 2, 1e-9])
         scale = np.diag([1.0 / noise, h / noise, 1.0])
         back = np.linalg.inv(scale)
-        a, added = scale @ a @ back, scale @ added @ scale
+        a = scale @ a @ back
+        added = scale @ added @ scale
         reading = np.array([[1.0, 0.0, 0.0]])
         spread = solve_discrete_are(a.T, reading.T, added, np.eye(1))
         gain = (spread @ reading.T / (reading @ spread @ reading.T + 1.0))[:, 0]

@@ -7,19 +7,18 @@ so that a thousand of them may say no more than ten. Whole logs that are left ou
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lab.innovations.data import Data
-from lab.innovations.laws import ROW
-from lab.innovations.likelihood import FOLLOWING, scales
-from lab.innovations.model import Free, Model, Setting, setting_of, to_fit
-from lab.innovations.screen import Found, Screen, applicable, wanted, with_effect
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray
+from mimic.sysid.engine.data import Data
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.likelihood import FOLLOWING, scales
+from mimic.sysid.engine.model import Free, Model, Setting, to_fit
+from mimic.sysid.engine.screen import Found, Screen, wanted, with_effect
 
 FARTHEST = 3.0
 """Standard deviations of what is plausible beyond which a number of the baseline does not go: beyond, something else is
@@ -28,7 +27,9 @@ lacking."""
 PRICE = 5.0
 """Nats of independent readings left out that a number must gain: BIC's half log of 14,400 readings, 4.8."""
 
-FIRST, WIDTH, LAST = 16, 6, 3
+FIRST = 16
+WIDTH = 6
+LAST = 3
 """Candidates of a screen that are fitted with the derivatives of the model before, with new ones, and to the end."""
 
 SETS = 2
@@ -64,7 +65,32 @@ machine."""
 SURELY = 15.0
 """Nats by which other sending times must explain logs better than those before."""
 
-Report = Callable[[str], None]
+Parts = tuple[tuple[str, tuple[int, ...]], ...]
+"""Effects and their joints."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """An effect that was tried beside others."""
+
+    beside: Parts
+    name: str
+    joints: tuple[int, ...]
+    gain: float
+    """By how much it predicts better, numbers paid [nats of independent readings]: of a linear step or, for those that
+    this said most of, of a fit."""
+    fitted: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hunt:
+    """What is looked for, and what was tried."""
+
+    effects: Sequence[str]
+    most: int = STAGES
+    """Most effects that are named."""
+    say: Callable[[str], None] = print
+    tried: list[Attempt] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,28 +118,39 @@ class Scored:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """An effect of the best model."""
+
+    name: str
+    joints: tuple[int, ...]
+    evidence: float
+    """By how much the model is better with it, numbers paid [nats of independent readings]."""
+    without: Scored
+    """The model without it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
     """What a search found."""
 
     null: Scored
     """The baseline alone."""
     best: Scored
-    ties: tuple[tuple[str, float], ...]
+    parts: tuple[Part, ...]
+    """Its effects."""
+    ties: tuple[tuple[Parts, float], ...]
     """Other explanations that the logs do not tell from it, and by how much they are worse [nats]."""
     before: FloatArray
-    """Plain replay of the baseline, each fold fitted without it: root mean square of each joint (J,)."""
+    """Errors of the baseline, each fold fitted without it (T, J)."""
     after: FloatArray
-    """Of what was found (J,)."""
+    """Of what was found (T, J)."""
     noise: FloatArray
     """What is left at readings that follow each other (J,)."""
     explained: bool
     """Whether what was found explains the machine; else its names are of what helps, and the rest is unknown torque."""
-    seconds: float
-    """Of the processor."""
-    passes: int
 
 
-def baseline(setting: Setting, names: Sequence[str], threads: int = 1) -> Model:
+def baseline(setting: Setting, names: Sequence[str]) -> Model:
     """Return the baseline: its effects free, and what a drawing leaves open within its tolerance."""
     free = []
     for name in names:
@@ -134,7 +171,7 @@ def baseline(setting: Setting, names: Sequence[str], threads: int = 1) -> Model:
 
 
 def _places(data: Data, name: str) -> list[int]:
-    return [-1] if CATALOGUE[name].scope == "machine" else list(range(data.joints))
+    return [-1] if CATALOGUE[name].scope == "machine" else np.flatnonzero(data.moves).tolist()
 
 
 def _within(setting: Setting, key: tuple[str, str], tolerance: float) -> list[Free]:
@@ -146,7 +183,7 @@ def _within(setting: Setting, key: tuple[str, str], tolerance: float) -> list[Fr
     of = length if CATALOGUE[key[0]].parameter(key[1]).unit == "m" else own
     return [
         Free(key, j, tolerance * float(of[j]), float(own[j]), FARTHEST * tolerance * float(of[j]))
-        for j in range(len(own))
+        for j in np.flatnonzero(setting.data.moves).tolist()
         if of[j] > 0.0
     ]
 
@@ -174,7 +211,8 @@ def trimmed(one: Scored) -> Scored:
     idle = min(losses, key=lambda k: losses[k], default=-1)
     if idle < 0 or losses[idle] > PRICE:
         return one
-    table, free = model.table.copy(), list(model.free)
+    table = model.table.copy()
+    free = list(model.free)
     gone = free.pop(idle)
     where = ROW[gone.key], slice(None) if gone.joint < 0 else gone.joint
     table[where] = model.setting.blank[where]
@@ -227,87 +265,79 @@ def noise_of(model: Model) -> FloatArray:
     return np.minimum(spread(model), usual)
 
 
-def search(
-    data: Data,
-    names: Sequence[str],
-    effects: Sequence[str] = (),
-    threads: int = 1,
-    report: Report | None = None,
-) -> Outcome:
-    """Find the effects that a machine has beside its baseline.
-
-    Args:
-        data: Logs.
-        names: Effects of the baseline.
-        effects: Those to look for; all that the machine may have by default.
-        threads: Passes at the same time.
-        report: Told what is being done.
-    """
-    began, say = time.process_time(), report or (lambda text: None)
-    say("fitting the baseline")
-    null = _baseline(data, names, threads)
-    effects = tuple(effects) or applicable(null.model.setting, names)
-    best, others = _paths(null, effects, say)
-    best, dropped = backwards(best, null, say)
+def search(null: Scored, hunt: Hunt) -> Outcome:
+    """Find the effects that a machine has beside its baseline."""
+    best, others = _paths(null, hunt)
+    best, dropped = backwards(best, null, hunt)
     if not _near(best):
-        best, others, dropped = _exchanged(best, null, effects, (others, dropped), say)
+        best, others, dropped = _exchanged(best, null, hunt, (others, dropped))
     seen = best
-    best = _confirmed(best, null, say)
+    best = _confirmed(best, null, hunt)
     rivals = [*others, *dropped] if best is seen else []
     best = scored(best.model.settled(4))
-    apart = {describe(o.model): best.apart(o) for o in rivals}
-    ties = [(name, by) for name, by in apart.items() if by < TIED and name != describe(best.model)]
-    before, after = (spread(one.model, one.model.left_out()) for one in (null, best))
+    ties = {one.model.effects: best.apart(one) for one in rivals}
+    before = null.model.left_out()
+    after = best.model.left_out()
     noise = noise_of(best.model)
-    left = float((np.maximum(after**2 - noise**2, 0.0) / noise**2).sum())
-    first = float((np.maximum(before**2 - noise**2, 0.0) / noise**2).sum())
+    beyond = [np.maximum((spread(null.model, e) / noise) ** 2 - 1.0, 0.0).sum() for e in (before, after)]
     return Outcome(
         null=null,
         best=best,
-        ties=tuple(ties),
+        parts=tuple(_part(best, null, dropped, *one) for one in best.model.effects),
+        ties=tuple((parts, by) for parts, by in ties.items() if by < TIED and parts != best.model.effects),
         before=before,
         after=after,
         noise=noise,
-        explained=bool((after / noise).max() < EXPLAINED or left < (1.0 - MOST) * first),
-        seconds=time.process_time() - began,
-        passes=null.model.setting.passes.count,
+        explained=bool((spread(null.model, after) / noise).max() < EXPLAINED or beyond[1] < (1.0 - MOST) * beyond[0]),
     )
 
 
-def _paths(null: Scored, effects: Sequence[str], say: Report) -> tuple[Scored, list[Scored]]:
+def _part(best: Scored, null: Scored, dropped: Sequence[Scored], name: str, joints: tuple[int, ...]) -> Part:
+    """Return an effect of the best model with what speaks for it; models without a part may be known."""
+    rest = tuple(one for one in best.model.effects if one[0] != name)
+    known = [null, *(one for one in dropped if one.model.effects == rest)]
+    if rest and len(known) == 1:
+        known.append(scored(without(best.model, null.model, name, joints).settled()))
+    other = known[-1] if rest else null
+    return Part(name=name, joints=joints, evidence=best.over(other), without=other)
+
+
+def _paths(null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
     """Return where the best first effect leads, or its rival where that explains more, and what else could be last."""
     plain = spread(null.model) / noise_of(null.model)
-    firsts = [one for one in stage_of(null, effects, say) if better(one, null)] if plain.max() >= NOISY else []
+    wanted = plain.max() >= NOISY and hunt.most > 0
+    firsts = [one for one in stage_of(null, hunt) if better(one, null)] if wanted else []
     if not firsts:
         return null, []
-    best, others = _forwards(firsts[0], null, effects, say)
+    best, others = _forwards(firsts[0], null, hunt)
     others = others or firsts[1:]
     if len(firsts) > 1 and not _near(best) and firsts[1].over(null) >= RIVAL * firsts[0].over(null):
-        end, beside = _forwards(firsts[1], null, effects, say)
+        end, beside = _forwards(firsts[1], null, hunt)
         if end.over(best) > 0.0:
-            best, others = end, beside
+            best = end
+            others = beside
     return best, others
 
 
 def _exchanged(
-    best: Scored, null: Scored, effects: Sequence[str], beside: tuple[list[Scored], list[Scored]], say: Report
+    best: Scored, null: Scored, hunt: Hunt, beside: tuple[list[Scored], list[Scored]]
 ) -> tuple[Scored, list[Scored], list[Scored]]:
     """Return a model with another effect in the place of one of its first, if that is better, and what is beside it."""
     for part in best.model.effects[:AGAIN] if len(best.model.effects) > 1 else ():
-        rivals = stage_of(scored(without(best.model, null.model, *part).settled()), effects, say)
+        rivals = stage_of(scored(without(best.model, null.model, *part).settled()), hunt)
         if rivals and rivals[0].over(best) > TIED:
-            other, others = _forwards(rivals[0], null, effects, say)
-            other, dropped = backwards(other, null, say)
+            other, others = _forwards(rivals[0], null, hunt)
+            other, dropped = backwards(other, null, hunt)
             return other, others, dropped
     return best, *beside
 
 
-def _confirmed(best: Scored, null: Scored, say: Report) -> Scored:
+def _confirmed(best: Scored, null: Scored, hunt: Hunt) -> Scored:
     """Return a model without the effects of which whole logs that are left out say nothing."""
     while best.model.effects and best.model.data.apart.any() and not _predicts(best.model, null.model):
         parts = [scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)]
         best = max(parts, default=null, key=lambda s: s.over(null))
-        say(f"  whole logs left out do not confirm more than {describe(best.model)}")
+        hunt.say(f"whole logs left out do not confirm more than {describe(best.model)}")
     return best
 
 
@@ -316,21 +346,22 @@ def _near(one: Scored) -> bool:
     return float((spread(one.model) / noise_of(one.model)).max()) < EXPLAINED
 
 
-def _forwards(best: Scored, null: Scored, effects: Sequence[str], say: Report) -> tuple[Scored, list[Scored]]:
+def _forwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
     """Return a model with effects added one after another while they pay, and what else the last could have been."""
     others: list[Scored] = []
     while True:
         sent = _sent(best.model)
         if sent is not best.model:
             best = scored(sent.settled())
+        hunt.say(f"so far: {describe(best.model)}")
         plain = spread(best.model) / noise_of(best.model)
-        say(_line(best, null, plain))
-        if plain.max() < NOISY or len(best.model.effects) == STAGES:
+        if plain.max() < NOISY or len(best.model.effects) >= hunt.most:
             break
-        found = [one for one in stage_of(best, effects, say) if better(one, best)]
+        found = [one for one in stage_of(best, hunt) if better(one, best)]
         if not found:
             break
-        best, others = found[0], found[1:]
+        best = found[0]
+        others = found[1:]
     return best, others
 
 
@@ -342,13 +373,19 @@ def _predicts(model: Model, null: Model) -> bool:
     return float(np.log(new / old).mean()) < 0.0
 
 
-def _baseline(data: Data, names: Sequence[str], threads: int) -> Scored:
-    """Return the baseline at the sending times that explain the logs best."""
-    start = baseline(setting_of(data, threads), names)
-    near = replace(start.setting, passes=start.setting.passes.of(data.near()))
+def fitted_baseline(start: Model, given: Sequence[str] = ()) -> Scored:
+    """Return a baseline fitted at the sending times that explain the logs best, with given effects that have no
+    derivative where they are none.
+    """
+    near = replace(start.setting, passes=start.setting.passes.of(start.data.near()))
     first = replace(start, setting=near).fitted(4)
-    model = replace(start, table=first.table).fitted(4)
-    return scored(_sent(model).settled(12))
+    model = _sent(replace(start, table=first.table).fitted(4)).settled(12)
+    for name in given:
+        every = Screen(model.differentiated()).run((name,))
+        if every:
+            widest = max(every, key=lambda one: (len(one.joints), one.gain))
+            model = replace(with_effect(model.differentiated(), widest).settled(12), effects=())
+    return scored(model)
 
 
 def _sent(model: Model) -> Model:
@@ -362,24 +399,37 @@ def _sent(model: Model) -> Model:
     return best
 
 
-def stage_of(now: Scored, effects: Sequence[str], say: Report) -> list[Scored]:
+def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
     """Return models with one effect more, best first."""
     model = now.model
     chosen: list[Found] = []
-    for one in sorted(Screen(model).run(effects), key=lambda f: now.repeats * PRICE * f.numbers - f.gain):
+    ranked = sorted(Screen(model).run(hunt.effects), key=lambda f: now.repeats * PRICE * f.numbers - f.gain)
+    for one in ranked:
         if sum(other.name == one.name for other in chosen) < SETS and (one.gain > 0.0 or one.rough):
             chosen.append(one)
+    hunt.tried.extend(
+        Attempt(
+            beside=model.effects,
+            name=one.name,
+            joints=one.joints,
+            gain=one.gain / now.repeats - PRICE * one.numbers,
+            fitted=False,
+        )
+        for one in chosen
+    )
     chosen = [f for k, f in enumerate(chosen) if k < FIRST or f.gain <= 0.0]
     enough = max(1.0, 0.1 * now.repeats)
     fits = [with_effect(model, one).fitted(0, enough) for one in chosen]
     for steps, left in ((0, WIDTH), (1, LAST), (2, LAST)):
-        fits = sorted(
-            (one.fitted(steps, enough) for one in fits), key=lambda m: m.cost + now.repeats * PRICE * len(m.free)
-        )
-        say("    " + ", ".join(f"{describe(m)} {model.cost - m.cost:.0f}" for m in fits))
-        fits = fits[:left]
+        refined = [one.fitted(steps, enough) for one in fits]
+        fits = sorted(refined, key=lambda m: m.cost + now.repeats * PRICE * len(m.free))[:left]
     made = sorted((scored(one.settled(8, enough)) for one in fits), key=lambda s: -s.over(now))
-    return sorted([trimmed(one) for one in made[:2]] + made[2:], key=lambda s: -s.over(now))
+    made = sorted([trimmed(one) for one in made[:2]] + made[2:], key=lambda s: -s.over(now))
+    for one in made:
+        name, joints = one.model.effects[-1]
+        gain = one.over(now)
+        hunt.tried.append(Attempt(beside=model.effects, name=name, joints=joints, gain=gain, fitted=True))
+    return made
 
 
 def better(new: Scored, old: Scored) -> bool:
@@ -388,7 +438,7 @@ def better(new: Scored, old: Scored) -> bool:
     return new.over(old) >= TIED and bool(share.min() < 1.0 - MATERIAL)
 
 
-def backwards(best: Scored, null: Scored, say: Report) -> tuple[Scored, list[Scored]]:
+def backwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
     """Return the model without the effects, or joints of them, that do not pay, and the last models tried."""
     tried: list[Scored] = []
     while best.model.effects:
@@ -396,7 +446,7 @@ def backwards(best: Scored, null: Scored, say: Report) -> tuple[Scored, list[Sco
         if not tried:
             break
         first = max(tried, key=lambda s: s.over(best))
-        say(f"  without a part: {describe(first.model)} {first.over(best):+.1f}")
+        hunt.say(f"checking {describe(best.model)}")
         if better(best, first):
             break
         best = first
@@ -435,12 +485,8 @@ def without(model: Model, null: Model, name: str, joints: tuple[int, ...]) -> Mo
 def describe(model: Model) -> str:
     """Return the effects of a model in words."""
     joints = model.data.machine.joints
-    said = [name + ("" if own == (-1,) else f" ({', '.join(joints[j] for j in own)})") for name, own in model.effects]
+    said = []
+    for name, own in model.effects:
+        where = ", ".join(joints[j] for j in own if j >= 0)
+        said.append(f"{name} ({where})" if where else name)
     return " + ".join(said) or "nothing"
-
-
-def _line(best: Scored, null: Scored, plain: FloatArray) -> str:
-    return (
-        f"  {describe(best.model)}: {best.over(null):+.1f}, replay over noise {plain.round(2).tolist()}, "
-        f"repeats {best.repeats:.1f}, unknown {best.model.unknown.round(4).tolist()}, {time.process_time():.0f} s"
-    )

@@ -9,15 +9,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lab.innovations.data import Data
-from lab.innovations.laws import KEYS, ROW
-from lab.innovations.likelihood import DECAY, Gains, misfit, scales, weights
-from lab.innovations.predictor import arrays_of, predict
-from lab.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
 from mimic.dynamics.catalogue import CATALOGUE, scale_of
 from mimic.dynamics.catalogue.kinds import MODEL, Parameter
+from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.engine.data import Data
+from mimic.sysid.engine.laws import KEYS, ROW
+from mimic.sysid.engine.likelihood import DECAY, Gains, misfit, scales, weights
+from mimic.sysid.engine.predictor import arrays_of, predict
+from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
 from mimic.sysid.log.noise import SMOOTH
 
 STEP = 1.25e-3
@@ -55,7 +56,9 @@ class Passes:
     """Runs passes over data."""
 
     def __init__(self, data: Data, threads: int = 1) -> None:
-        self.data, self.threads, self._counted = data, threads, [0]
+        self.data = data
+        self.threads = threads
+        self._counted = [0]
         self._arrays = arrays_of(data.tree, data.record)
 
     @property
@@ -66,7 +69,8 @@ class Passes:
     def of(self, data: Data) -> Passes:
         """Return passes over other data, counted together."""
         made = copy(self)
-        made.data, made._arrays = data, arrays_of(data.tree, data.record)
+        made.data = data
+        made._arrays = arrays_of(data.tree, data.record)
         return made
 
     def run(
@@ -205,7 +209,8 @@ class Model:
         out = np.zeros(len(self.free), dtype=bool)
         for k, (f, x) in enumerate(zip(self.free, self.values(), strict=True)):
             low, high = _bounds(_parameter(f))
-            low, high = max(low, f.centre - f.within), min(high, f.centre + f.within)
+            low = max(low, f.centre - f.within)
+            high = min(high, f.centre + f.within)
             near = 1e-6 * min(high - low, 1.0)
             out[k] = (x <= low + near and descent[k] < 0.0) or (x >= high - near and descent[k] > 0.0)
         return out
@@ -222,7 +227,8 @@ class Model:
         if self.columns is not None:
             return self
         first = 0 if known is None else len(known)
-        data, x = self.data, self.values()
+        data = self.data
+        x = self.values()
         shift = np.zeros(len(x))
         for k, f in list(enumerate(self.free))[first:]:
             rough = CATALOGUE[f.key[0]].structural
@@ -232,7 +238,7 @@ class Model:
         colours = np.full(len(x), -1)
         colours[first:] = _colours(self.free[first:], np.asarray(data.machine.chain))
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
-        stiff = any(CATALOGUE[name].structural for name, _ in self.effects)
+        stiff = any(CATALOGUE[f.key[0]].structural for f in self.free)
         step = COARSE[0] if stiff else COARSE[1]
         *moved, still = self.setting.passes.run([*tables, self.table], self.gains, step)
         columns = np.zeros((len(x), *self.e.shape))
@@ -249,7 +255,8 @@ class Model:
         if rows is not None:
             w = np.where(rows[:, None], w, 0.0)
         flat = self.columns.reshape(len(self.free), -1)
-        w, e = w.ravel(), np.nan_to_num(self.e).ravel()
+        w = w.ravel()
+        e = np.nan_to_num(self.e).ravel()
         used = w > 0
         c = flat[:, used]
         weighed = c * w[used]
@@ -257,7 +264,8 @@ class Model:
 
     def numbers(self) -> float:
         """Return how many numbers the logs determine, beside what is plausible of them."""
-        hessian, prior = self.differentiated().normal()[0], self.plausibility(self.values())[0]
+        hessian = self.differentiated().normal()[0]
+        prior = self.plausibility(self.values())[0]
         return float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), hessian)))
 
     def repeats(self) -> float:
@@ -269,7 +277,8 @@ class Model:
         pull = weights(now.e, now.scale, now.data) * np.nan_to_num(now.e)
         count = len(now.data.fold)
         varied = np.cov([np.bincount(now.data.block, (c * pull).sum(axis=1), count) for c in now.columns]) * count
-        hessian, prior = now.normal()[0], now.plausibility(now.values())[0]
+        hessian = now.normal()[0]
+        prior = now.plausibility(now.values())[0]
         share = float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), varied)))
         return max(share / max(now.numbers(), 1.0), 1.0)
 
@@ -286,10 +295,13 @@ class Model:
             enough: Gain of the log density of a step after which to stop.
         """
         now = self if len(self.e) else self.evaluated()
-        damping, fresh = 1e-3, now.columns is not None
+        damping = 1e-3
+        fresh = now.columns is not None
         while now.columns is not None or most > 0:
             if now.columns is None:
-                now, fresh, most = now.differentiated(), True, most - 1
+                now = now.differentiated()
+                fresh = True
+                most = most - 1
             better, damping = now._step(damping, 5 if fresh else 1)
             if better is None and fresh:
                 break
@@ -325,7 +337,8 @@ class Model:
         x = self.values()
         hessian, descent = (a + b for a, b in zip(self.normal(), self.plausibility(x), strict=True))
         moves = ~self.stopped(descent)
-        hessian, descent = hessian[np.ix_(moves, moves)], descent[moves]
+        hessian = hessian[np.ix_(moves, moves)]
+        descent = descent[moves]
         own = np.diag(np.diag(hessian) + 1e-12)
         for _ in range(most):
             to = x.copy()
@@ -341,8 +354,10 @@ class Model:
         now = self if len(self.e) else self.evaluated()
         for j in range(self.data.joints):
             for way in (-1, 1):
-                while (trial := now._other_size(j, way)) is not None and trial.cost < now.cost - 0.5:
+                trial = now._other_size(j, way)
+                while trial is not None and trial.cost < now.cost - 0.5:
                     now = trial
+                    trial = now._other_size(j, way)
         return now
 
     def _other_size(self, j: int, way: int) -> Model | None:
@@ -405,7 +420,8 @@ def _bounds(p: Parameter) -> tuple[float, float]:
 
 def _colours(free: Sequence[Free], chain: IntArray) -> IntArray:
     """Return which pass each number is moved in: one of the whole machine alone, others with those of other chains."""
-    colours, used = np.zeros(len(free), dtype=int), {int(c): 0 for c in chain}
+    colours = np.zeros(len(free), dtype=int)
+    used = {int(c): 0 for c in chain}
     for k, f in enumerate(free):
         if f.joint >= 0:
             own = int(chain[f.joint])
@@ -419,32 +435,35 @@ def _colours(free: Sequence[Free], chain: IntArray) -> IntArray:
     return colours
 
 
-def blank_table(data: Data) -> FloatArray:
+def blank_table(machine: MachineModel) -> FloatArray:
     """Return the table of numbers without any effect (S, J)."""
-    table = np.zeros((len(KEYS), data.joints))
+    table = np.zeros((len(KEYS), len(machine.joints)))
     for row, (name, parameter) in enumerate(KEYS):
         p = CATALOGUE[name].parameter(parameter)
-        if name == "motor" and data.machine.drives.volts is None:
+        if name == "motor" and machine.drives.volts is None:
             table[row] = 1.0
-        elif p.fixed and p.shape and p.starts:
+        elif p.fixed and p.starts and p.neutral != MODEL:
             table[row] = p.starts[0]
         else:
-            table[row] = neutral(name, parameter, data.machine)
+            table[row] = neutral(name, parameter, machine)
     return table
 
 
 def setting_of(data: Data, threads: int = 1) -> Setting:
     """Return what all models of a search share, from what a pass with strong corrections says of the motion."""
-    blank, n = blank_table(data), data.joints
+    blank = blank_table(data.machine)
+    n = data.joints
     record = data.record
     q = np.nan_to_num(record.y, nan=0.0)
     known = np.isfinite(record.y)
     dt = np.gradient(record.t)
     smooth = np.stack([np.interp(record.t, record.t[known[:, j]], q[known[:, j], j]) for j in range(n)], -1)
     joints, shape = packed(data.tree)
-    one, tree = np.ones(n), data.tree
+    one = np.ones(n)
+    tree = data.tree
     links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0.0 * one, 0.0 * one)
-    room, mass = np.zeros((n, ROOM)), np.zeros((n, n))
+    room = np.zeros((n, ROOM))
+    mass = np.zeros((n, n))
     room[:, AT] = np.median(smooth, axis=0)
     dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
     rotor = blank[ROW["armature", "inertia"]]
@@ -457,7 +476,8 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     used = data.counts & (np.abs(speed) < 1e3)
     needed = np.zeros_like(smooth)
     for i in range(0, len(smooth), 5):
-        room[:, AT], room[:, MOVING] = calm[i], speed[i]
+        room[:, AT] = calm[i]
+        room[:, MOVING] = speed[i]
         dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
         needed[i : i + 5] = mass @ faster[i] + rotor * faster[i] + room[:, BIAS]
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from lab.innovations.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed, tree_of
 from mimic.dynamics.machine import MachineModel, read_machine
+from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed, tree_of
 
 TREE = """<mujoco><compiler angle="radian"/><worldbody>
 <body pos=".1 .2 1" euler=".3 .2 .1"><joint name="a" axis="1 2 0" pos=".01 0 .02" ref=".2"/>

@@ -8,12 +8,14 @@ unknown torque in each joint that decays, and is where the next block begins.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from lab.innovations.laws import (
+from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.engine.laws import (
     AIM,
     CHANGE,
     DELAY,
@@ -21,6 +23,7 @@ from lab.innovations.laws import (
     FACTOR,
     GAINED,
     GAP,
+    GIVEN,
     GOAL,
     JOINT_DELAY,
     KT,
@@ -50,7 +53,7 @@ from lab.innovations.laws import (
     resisting,
     unread,
 )
-from lab.innovations.tree import (
+from mimic.sysid.engine.tree import (
     AT,
     BIAS,
     END,
@@ -65,7 +68,6 @@ from lab.innovations.tree import (
     links_of,
     packed,
 )
-from mimic.records import BoolArray, FloatArray, IntArray
 
 LOST = 1e3
 """What a pass says where the machine flew apart: speeds beyond it, and predictions from there on [rad/s, rad]."""
@@ -132,7 +134,10 @@ class Record(NamedTuple):
 
 def gravity_of(gravity: FloatArray, roll: float, pitch: float) -> FloatArray:
     """Return gravity in the axes of a base turned by roll about x, then pitch about y."""
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cr = np.cos(roll)
+    sr = np.sin(roll)
+    cp = np.cos(pitch)
+    sp = np.sin(pitch)
     across = sp * gravity[0] + cp * gravity[2]
     return np.array([cp * gravity[0] - sp * gravity[2], cr * gravity[1] + sr * across, cr * across - sr * gravity[1]])
 
@@ -145,8 +150,11 @@ def inverted(a, m):  # type: ignore[no-untyped-def]
         return
     if m == 2:
         d = 1.0 / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
-        x, y, z = a[0, 0], a[0, 1], a[1, 1]
-        a[0, 0], a[1, 1] = z * d, x * d
+        x = a[0, 0]
+        y = a[0, 1]
+        z = a[1, 1]
+        a[0, 0] = z * d
+        a[1, 1] = x * d
         a[0, 1] = a[1, 0] = -y * d
         return
     for k in range(m):
@@ -238,7 +246,8 @@ class Arrays(NamedTuple):
 def arrays_of(tree: Tree, record: Record) -> Arrays:
     """Return a tree and a record as a pass takes them."""
     joints, shape = packed(tree)
-    kp, kd = record.kp[record.log] * record.on, record.kd[record.log] * record.on
+    kp = record.kp[record.log] * record.on
+    kd = record.kd[record.log] * record.on
     return Arrays(
         joints=joints,
         shape=shape,
@@ -268,7 +277,8 @@ def supply_left(p, s):  # type: ignore[no-untyped-def]
 @inlined
 def ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h):  # type: ignore[no-untyped-def]
     """Let all drives and outer torques act for step k of those that end at row i."""
-    left = supply_left(p, s) * clock[i, SUPPLY]
+    sagged = supply_left(p, s)
+    left = sagged * clock[i, SUPPLY]
     for j in range(s.shape[1]):
         begin = clock[i - 1, TIME] + k * h - p[DELAY, j] - p[JOINT_DELAY, j]
         aim = int(s[AIM, j])
@@ -281,18 +291,22 @@ def ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h):  # type: ignore
         if aim + 1 < len(sent) and sent[aim + 1] < begin + h:
             share = (sent[aim + 1] - begin) / h
             second = goal[aim + 1, j]
-        kp, kd = inputs[i - 1, j, STIFF], inputs[i - 1, j, DAMP]
+        kp = inputs[i - 1, j, STIFF]
+        kd = inputs[i - 1, j, DAMP]
         volts = motors[j, VOLTS]
         if volts > 0.0:
             more = p[KT, j] / motors[j, OWN_KT] * motors[j, OWN_OHM] / p[OHM, j]
-            kp, kd = kp * more, kd * more * p[KT, j] / motors[j, OWN_KT]
+            kp = kp * more
+            kd = kd * more * p[KT, j] / motors[j, OWN_KT]
         since = clock[i - 1, SINCE] + k * h
         torque, size, kept = drive(
-            p, s, j, h, since, first, second, share, kp, kd, inputs[i - 1, j, ADDED], left, volts
+            p, s, j, h, since, first, second, share, kp, kd, inputs[i - 1, j, ADDED], left, sagged, volts
         )
         on_motor, on_link = placed(p, s, j)
         torque += on_motor + resisting(p, s, j, int(motors[j, NEIGHBOUR])) - p[VISCOUS, j] * s[VM, j] + s[W, j]
-        acts[TORQUE, j], acts[ON_LINK, j], acts[SIZE, j] = torque, on_link, size
+        acts[TORQUE, j] = torque
+        acts[ON_LINK, j] = on_link
+        acts[SIZE, j] = size
         acts[DAMPING, j] = p[VISCOUS, j] + kept
 
 
@@ -329,7 +343,9 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
         else:
             a[i, i] += inertia
             solve[i, PUSHED] = h * (acts[TORQUE, j] + link)
-        solve[at, FORWARD], solve[at, BACKWARD], solve[at, LAST] = h * forward, h * backward, s[PUSH, j]
+        solve[at, FORWARD] = h * forward
+        solve[at, BACKWARD] = h * backward
+        solve[at, LAST] = s[PUSH, j]
         solve[i, FAST] = s[V, j]
         solve[at, FAST] = s[VM, j]
     return count
@@ -383,11 +399,13 @@ def begin_at(clock, inputs, sent, goal, p, s, i):  # type: ignore[no-untyped-def
 
 
 @inlined
-def write(p, s, out, i):  # type: ignore[no-untyped-def]
-    """Write what is predicted of a row."""
+def write(p, s, out, i, gap):  # type: ignore[no-untyped-def]
+    """Write what is predicted of a row, a time after the one before."""
     for j in range(s.shape[1]):
         out[0, i, j] = reads(p, j, s[QM, j])
-        out[1, i, j], out[2, i, j] = s[W, j], s[TAU, j]
+        out[1, i, j] = s[W, j]
+        out[2, i, j] = s[GIVEN, j] / gap
+        s[GIVEN, j] = 0.0
 
 
 @inlined
@@ -402,6 +420,7 @@ def correct(p, s, inputs, gains, i, log, block):  # type: ignore[no-untyped-def]
             s[V, j] += gains[log, block, on, j, 1] * off
             s[VM, j] += gains[log, block, on, j, 1] * off
             s[W, j] += gains[log, block, on, j, 2] * off
+        s[GIVEN, j] = 0.0
 
 
 @inlined
@@ -431,6 +450,27 @@ def ahead(p, s, room, h, steps):  # type: ignore[no-untyped-def]
         room[j, AT] = s[Q, j] + 0.5 * (steps - 1) * h * room[j, MOVING]
 
 
+@njit(cache=True, error_model="numpy", fastmath=FAST_MATH, _nrt=False)  # type: ignore[call-overload]
+def advanced(machine, logs, p, s, rooms, i, steps, h, kept):  # type: ignore[no-untyped-def]
+    """Bring a state to row i; return whether the machine holds together."""
+    joints, shape, loads, pull = machine
+    clock, inputs, marks, sent, goal, motors = logs
+    room, mass, acts, a, solve = rooms
+    together = max(int(RIGID / h + 1e-3), 1)
+    for k in range(steps):
+        half(p, s, h)
+        if k % together == 0:
+            ahead(p, s, room, h, min(together, steps - k))
+            dynamics(joints, shape, loads, marks[i, LOG], pull, room, mass)
+        ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h)
+        move(joints, shape, p, s, acts, room, mass, a, solve, h)
+        for j in range(s.shape[1]):
+            s[W, j] *= kept
+        if not half(p, s, h):
+            return False
+    return True
+
+
 def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step: float, follow: bool) -> FloatArray:
     """Return what a machine with some numbers is predicted to do: to the end of each block, or reading by reading.
 
@@ -444,71 +484,58 @@ def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step
         follow: Whether every reading corrects the state, and not only those before a block.
 
     Returns:
-        Predicted readings, unknown torques and those of the motors (3, T, J); `LOST` from where the machine flew apart
-        to the end of a block.
+        Predicted readings, unknown torques, and those of the motors, means since the row before (3, T, J); `LOST` from
+        where the machine flew apart to the end of a block.
     """
     n = p.shape[1]
     mass, centre, inertia, toward, tip = arrays.own
-    factor, shift = p[FACTOR], p[SHIFT]
+    factor = p[FACTOR]
+    shift = p[SHIFT]
     loads = [links_of(mass, centre, inertia, toward, tip, factor, shift, p[LOAD] + load) for load in arrays.payload]
     pull = gravity_of(arrays.gravity, p[ROLL, 0], p[PITCH, 0])
     touching = p[GAP] > 0.0
     ring = np.sqrt(1.0 / (p[TOUCH] * np.maximum(p[ROTOR], 1e-5)))[touching].max(initial=0.0) * USUAL
     step *= min(1.0, RING / max(ring, 1e-9))
     out = np.zeros((3, *arrays.inputs.shape[:2]))
-    shapes = (n, ROOM), (n, n), (STATES, n), (STATES, n), (ASKED, n), (2 * n, 2 * n), (2 * n, SOLVE)
+    shapes = (n, ROOM), (n, n), (ASKED, n), (2 * n, 2 * n), (2 * n, SOLVE)
     rooms = tuple(np.zeros(shape) for shape in shapes)
+    both = np.zeros((STATES, n)), np.zeros((STATES, n))
     machine = arrays.joints, arrays.shape, np.stack(loads), pull
     logs = arrays.clock, arrays.inputs, arrays.marks, arrays.sent, arrays.goal, arrays.motors
-    _pass(machine, logs, p, gains, (decay, step, follow), rooms, out)
+    _pass(machine, logs, p, gains, (decay, step, follow), rooms, both, out)
     return out
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True, _nrt=False)  # type: ignore[call-overload]
-def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-def]
+def _pass(machine, logs, p, gains, how, rooms, both, out):  # type: ignore[no-untyped-def]
     """Write a pass to `out` with the room that it needs."""
-    joints, shape, loads, pull = machine
-    clock, inputs, marks, sent, goal, motors = logs
-    room, mass, states, beside, acts, a, solve = rooms
-    both = (states, beside)
+    clock, inputs, marks, sent, goal, _ = logs
+    states, beside = both
     decay, step, follow = how
     n = inputs.shape[1]
     lost = False
     for i in range(len(clock)):
-        log, lead = marks[i, LOG], marks[i, LEAD]
+        log = marks[i, LOG]
+        lead = marks[i, LEAD]
         if marks[i, FRESH]:
             lost = False
             begin_at(clock, inputs, sent, goal, p, states, i)
-            write(p, states, out, i)
+            write(p, states, out, i, 1.0)
             correct(p, states, inputs, gains, i, log, 0)
             continue
         gap = clock[i, TIME] - clock[i - 1, TIME]
         steps = max(int(np.ceil(gap / step - 1e-3)), 1)
         h = gap / steps
         kept = np.exp(-h / decay)
-        together = max(int(RIGID / h + 1e-3), 1)
-        for which in range(1 if lost else 0, 2 if lead > 1 else 1):
-            s = both[which]
-            for k in range(steps):
-                half(p, s, h)
-                if k % together == 0:
-                    ahead(p, s, room, h, min(together, steps - k))
-                    dynamics(joints, shape, loads, log, pull, room, mass)
-                ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h)
-                move(joints, shape, p, s, acts, room, mass, a, solve, h)
-                for j in range(n):
-                    s[W, j] *= kept
-                if not half(p, s, h):
-                    if which == 1:
-                        begin_at(clock, inputs, sent, goal, p, beside, i)
-                    else:
-                        lost = True
-                    break
+        if not lost:
+            lost = not advanced(machine, logs, p, states, rooms, i, steps, h, kept)
+        if lead > 1 and not advanced(machine, logs, p, beside, rooms, i, steps, h, kept):
+            begin_at(clock, inputs, sent, goal, p, beside, i)
         if lost:
             for j in range(n):
                 out[0, i, j] = LOST
         else:
-            write(p, states, out, i)
+            write(p, states, out, i, gap)
         if not lost and (follow or not marks[i, SETTLED]):
             correct(p, states, inputs, gains, i, log, 0)
         if lead == 1 and lost:
@@ -520,3 +547,9 @@ def _pass(machine, logs, p, gains, how, rooms, out):  # type: ignore[no-untyped-
         if lead == 3:
             copied(beside, states)
             lost = False
+
+
+def compiled() -> bool:
+    """Return whether a pass was compiled before, which takes half a minute, and is kept on disk."""
+    made: Any = _pass
+    return any(Path(made.stats.cache_path).glob("predictor._pass-*.nbi"))

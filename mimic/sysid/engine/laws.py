@@ -9,40 +9,64 @@ from __future__ import annotations
 
 import numpy as np
 
-from lab.innovations.tree import inlined
 from mimic.dynamics.catalogue import CATALOGUE
+from mimic.sysid.engine.tree import inlined
 
 KEYS = tuple((e.name, p.name) for e in CATALOGUE.values() for p in e.parameters)
 """Rows of the table of numbers."""
 
 ROW = {key: i for i, key in enumerate(KEYS)}
 
-COULOMB, VISCOUS = ROW["coulomb", "level"], ROW["viscous", "coefficient"]
-FACTOR, SHIFT, LOAD = ROW["link_mass", "factor"], ROW["com_shift", "distance"], ROW["payload", "mass"]
-ROLL, PITCH = ROW["base_tilt", "roll"], ROW["base_tilt", "pitch"]
-DELAY, JOINT_DELAY, GOAL_TIME = ROW["delay", "time"], ROW["joint_delay", "time"], ROW["target_filter", "time"]
-ROTOR, KP, KD = ROW["armature", "inertia"], ROW["gains", "kp"], ROW["gains", "kd"]
-KT, OHM = ROW["motor", "kt"], ROW["motor", "resistance"]
+COULOMB = ROW["coulomb", "level"]
+VISCOUS = ROW["viscous", "coefficient"]
+FACTOR = ROW["link_mass", "factor"]
+SHIFT = ROW["com_shift", "distance"]
+LOAD = ROW["payload", "mass"]
+ROLL = ROW["base_tilt", "roll"]
+PITCH = ROW["base_tilt", "pitch"]
+DELAY = ROW["delay", "time"]
+JOINT_DELAY = ROW["joint_delay", "time"]
+GOAL_TIME = ROW["target_filter", "time"]
+ROTOR = ROW["armature", "inertia"]
+KP = ROW["gains", "kp"]
+KD = ROW["gains", "kd"]
+KT = ROW["motor", "kt"]
+OHM = ROW["motor", "resistance"]
 TORQUE, SPEED, FLAT = (ROW["torque_speed", name] for name in ("torque", "speed", "flat"))
-DROP, CONSTANT, DRIFT = ROW["supply_sag", "drop"], ROW["kt_gain", "factor"], ROW["kt_drift", "rate"]
-LOSS, HEAT_TIME = ROW["kt_heat", "loss"], ROW["kt_heat", "time"]
-TORQUE_TIME, SPEED_TIME = ROW["torque_lag", "time"], ROW["velocity_lag", "time"]
-STRIBECK, STRIBECK_SPEED = ROW["stribeck", "level"], ROW["stribeck", "speed"]
-OF_LOAD, OF_GEAR = ROW["load_friction", "ratio"], ROW["gear_load_friction", "ratio"]
-ONE_WAY, ONE_WAY_SLOPE = ROW["asymmetric_friction", "level"], ROW["asymmetric_friction", "coefficient"]
-DRAG, COUPLING = ROW["quadratic_drag", "coefficient"], ROW["coupling", "coefficient"]
-GAP, TOUCH = ROW["backlash", "gap"], ROW["backlash", "compliance"]
-SOFT, SOFT_DAMPING = ROW["compliance", "compliance"], ROW["compliance", "damping"]
-OFFSET, SCALE = ROW["encoder_offset", "angle"], ROW["encoder_scale", "factor"]
-COSINE, SINE = ROW["encoder_eccentricity", "cosine"], ROW["encoder_eccentricity", "sine"]
+DROP = ROW["supply_sag", "drop"]
+CONSTANT = ROW["kt_gain", "factor"]
+DRIFT = ROW["kt_drift", "rate"]
+LOSS = ROW["kt_heat", "loss"]
+HEAT_TIME = ROW["kt_heat", "time"]
+TORQUE_TIME = ROW["torque_lag", "time"]
+SPEED_TIME = ROW["velocity_lag", "time"]
+STRIBECK = ROW["stribeck", "level"]
+STRIBECK_SPEED = ROW["stribeck", "speed"]
+OF_LOAD = ROW["load_friction", "ratio"]
+OF_GEAR = ROW["gear_load_friction", "ratio"]
+ONE_WAY = ROW["asymmetric_friction", "level"]
+ONE_WAY_SLOPE = ROW["asymmetric_friction", "coefficient"]
+DRAG = ROW["quadratic_drag", "coefficient"]
+COUPLING = ROW["coupling", "coefficient"]
+GAP = ROW["backlash", "gap"]
+TOUCH = ROW["backlash", "compliance"]
+SOFT = ROW["compliance", "compliance"]
+SOFT_DAMPING = ROW["compliance", "damping"]
+OFFSET = ROW["encoder_offset", "angle"]
+SCALE = ROW["encoder_scale", "factor"]
+COSINE = ROW["encoder_eccentricity", "cosine"]
+SINE = ROW["encoder_eccentricity", "sine"]
+ENCODER_STEP = ROW["encoder_step", "angle"]
 COG_COSINE, COG_SINE, COG_ORDER = (ROW["cogging", name] for name in ("cosine", "sine", "order"))
-SPRING, MOMENT = ROW["spring", "stiffness"], ROW["spring", "moment"]
+SPRING = ROW["spring", "stiffness"]
+MOMENT = ROW["spring", "moment"]
 
-STATES = 14
-(Q, V, QM, VM, W, GOAL, SLOW, LAGGED, HEAT, CHANGE, TAU, PUSH, AIM, GAINED) = range(STATES)
+STATES = 15
+(Q, V, QM, VM, W, GOAL, SLOW, LAGGED, HEAT, CHANGE, TAU, PUSH, AIM, GAINED, GIVEN) = range(STATES)
 """Rows of the table of states: position and velocity of the link and of the motor, unknown torque, filtered target,
 filtered speed, lagged torque, mean square of the current, last change of the motor's speed, torque of the motor, the
-friction impulse of the last step, which target is followed, and the last change of the link's speed."""
+friction impulse of the last step, which target is followed, the last change of the link's speed, and the impulse of the
+motor since the row before."""
 
 LEAST = 0.05
 """Least share of the torque constant, and of the supply, that is left."""
@@ -54,7 +78,10 @@ def reads(p, j, angle):  # type: ignore[no-untyped-def]
     read = angle
     if p[COSINE, j] != 0.0 or p[SINE, j] != 0.0:
         read += p[COSINE, j] * np.cos(angle) + p[SINE, j] * np.sin(angle)
-    return read * p[SCALE, j] + p[OFFSET, j]
+    read = read * p[SCALE, j] + p[OFFSET, j]
+    if p[ENCODER_STEP, j] > 0.0:
+        read = np.round(read / p[ENCODER_STEP, j]) * p[ENCODER_STEP, j]
+    return read
 
 
 @inlined
@@ -81,16 +108,19 @@ def slowed(state, wanted, time, h):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def limits(p, j, speed, supply):  # type: ignore[no-untyped-def]
-    """Return the least and greatest torque of a motor at a speed, with a share of the supply."""
-    most, none = p[TORQUE, j] * supply, p[SPEED, j] * supply
-    slope = most / max(none - p[FLAT, j] * supply, 1e-9)
+def limits(p, j, speed, supply, sagged):  # type: ignore[no-untyped-def]
+    """Return the least and greatest torque of a motor at a speed: its line moves with a share of the supply, and where
+    that sags also the torque that it is limited to.
+    """
+    most = p[TORQUE, j] * sagged
+    none = p[SPEED, j] * supply
+    slope = p[TORQUE, j] / max(p[SPEED, j] - p[FLAT, j], 1e-9)
     high = min(max((none - speed) * slope, 0.0), most)
     return -min(max((none + speed) * slope, 0.0), most), high
 
 
 @inlined
-def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):  # type: ignore[no-untyped-def]
+def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, sagged, volts):  # type: ignore[no-untyped-def]
     """Return the mean torque of a motor over a step, its mean size, and the damping that is implicit in it.
 
     Args:
@@ -106,11 +136,14 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
         kd: [N m s/rad]
         force: Torque asked for beside the targets [N m].
         supply: Share of the supply.
+        sagged: That part of it which the motors' work leaves.
         volts: Supply of a voltage drive [V], 0 for a drive of torque.
     """
-    speed, middle = s[VM, j], s[VM, j] + 0.5 * s[CHANGE, j]
+    speed = s[VM, j]
+    middle = s[VM, j] + 0.5 * s[CHANGE, j]
     constant = p[CONSTANT, j] * max(1.0 + p[DRIFT, j] * time / 100.0, LEAST)
-    stiff, damp = kp * constant * p[KP, j], kd * constant * p[KD, j] * p[SCALE, j]
+    stiff = kp * constant * p[KP, j]
+    damp = kd * constant * p[KD, j] * p[SCALE, j]
     stall = np.inf
     if volts > 0.0:
         stall = volts * supply * p[KT, j] / p[OHM, j]
@@ -119,7 +152,8 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
         wanted = share * first + (1.0 - share) * second
         s[GOAL, j], first = slowed(s[GOAL, j], wanted, p[GOAL_TIME, j], h)
         share = 1.0
-    seen, implicit = speed, True
+    seen = speed
+    implicit = True
     if p[SPEED_TIME, j] > 0.0:
         s[SLOW, j], seen = slowed(s[SLOW, j], middle, p[SPEED_TIME, j], h)
         implicit = False
@@ -127,9 +161,11 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
         implicit = False
         if p[SPEED_TIME, j] <= 0.0:
             seen = middle
-    low, high = limits(p, j, middle, 1.0 if volts > 0.0 else supply)
+    low, high = limits(p, j, middle, 1.0, 1.0) if volts > 0.0 else limits(p, j, middle, supply, sagged)
     read = reads(p, j, s[QM, j])
-    mean, size, kept = 0.0, 0.0, 0.0
+    mean = 0.0
+    size = 0.0
+    kept = 0.0
     for part in range(2):
         weight = share if part == 0 else 1.0 - share
         if weight <= 0.0:
@@ -146,8 +182,11 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, volts):
     if p[LOSS, j] != 0.0:  # a drive limits the current, which heats; what it makes of that is less
         left = max(1.0 - p[LOSS, j] * s[HEAT, j], LEAST)
         s[HEAT, j] += h * (mean * mean - s[HEAT, j]) / p[HEAT_TIME, j]
-        mean, size, kept = mean * left, size * left, kept * left
+        mean *= left
+        size *= left
+        kept *= left
     s[TAU, j] = mean
+    s[GIVEN, j] += h * mean
     return mean, size, kept
 
 
@@ -165,7 +204,8 @@ def friction(p, s, j, size, needed):  # type: ignore[no-untyped-def]
 @inlined
 def resisting(p, s, j, neighbour):  # type: ignore[no-untyped-def]
     """Return the torque on a motor's shaft that depends on its speed, beside viscous friction."""
-    torque, middle = 0.0, s[VM, j] + 0.5 * s[CHANGE, j]
+    torque = 0.0
+    middle = s[VM, j] + 0.5 * s[CHANGE, j]
     if p[DRAG, j] != 0.0:
         torque -= p[DRAG, j] * middle * abs(middle)
     if p[ONE_WAY_SLOPE, j] != 0.0:
@@ -193,7 +233,8 @@ def gear(p, s, j, h):  # type: ignore[no-untyped-def]
     change adds, so that stiff gears are stable; with backlash the twist at its end, so that a contact that is noticed
     late gives nothing away.
     """
-    apart, half = s[QM, j] - s[Q, j], 0.5 * p[GAP, j]
+    apart = s[QM, j] - s[Q, j]
+    half = 0.5 * p[GAP, j]
     over = apart - min(max(apart, -half), half)
     if over == 0.0 and half > 0.0:
         return 0.0, 0.0

@@ -61,7 +61,8 @@ class Tree(NamedTuple):
 
 def tree_of(machine: MachineModel) -> Tree:
     """Return the tree of a machine; links without a joint of their own belong to the one that carries them."""
-    model, count = machine.model, len(machine.joints)
+    model = machine.model
+    count = len(machine.joints)
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
@@ -69,13 +70,16 @@ def tree_of(machine: MachineModel) -> Tree:
     axes = np.stack([_axes_along(data.xaxis[j]) for j in range(count)])
     anchor = np.array(data.xanchor)
     parent = np.array([_joint_before(model, owner, j) for j in range(count)])
-    mass, centre, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    mass = np.zeros(count)
+    centre = np.zeros((count, 3))
+    inertia = np.zeros((count, 3, 3))
     for j in range(count):
         links = [b for b in range(1, model.nbody) if owner[b] == j]
         mass[j], whole, about = _joined(model, data, links)
         centre[j] = axes[j].T @ (whole - anchor[j])
         inertia[j] = axes[j].T @ about @ axes[j]
-    rotation, offset = axes.copy(), anchor.copy()
+    rotation = axes.copy()
+    offset = anchor.copy()
     for j in np.flatnonzero(parent >= 0):
         rotation[j] = axes[parent[j]].T @ axes[j]
         offset[j] = axes[parent[j]].T @ (anchor[j] - anchor[parent[j]])
@@ -126,7 +130,7 @@ def _axes_along(axis: FloatArray) -> FloatArray:
 
 def _joined(model: Any, data: Any, links: list[int]) -> tuple[float, FloatArray, FloatArray]:
     """Return mass, centre of mass and inertia about it of some bodies together, world axes."""
-    mass = sum(float(model.body_mass[b]) for b in links)
+    mass = float(sum(model.body_mass[b] for b in links))
     if mass <= 0.0:
         return 0.0, np.zeros(3), np.zeros((3, 3))
     centre = sum(model.body_mass[b] * data.xipos[b] for b in links) / mass
@@ -136,13 +140,23 @@ def _joined(model: Any, data: Any, links: list[int]) -> tuple[float, FloatArray,
         away = data.xipos[b] - centre
         about += turned @ np.diag(model.body_inertia[b]) @ turned.T
         about += model.body_mass[b] * (away @ away * np.eye(3) - np.outer(away, away))
-    return mass, centre, about
+    return mass, np.asarray(centre), about
 
 
 LINK = 10
 """Numbers of a rigid body: mass, mass times centre (3), inertia about the origin xx xy xz yy yz zz."""
 
-FRAME, ORIGIN, SCREW, BODY, SPEED, RATE, FORCE, BIAS, AT, MOVING, ROOM = 0, 9, 12, 18, 28, 34, 40, 46, 47, 48, 49
+FRAME = 0
+ORIGIN = 9
+SCREW = 12
+BODY = 18
+SPEED = 28
+RATE = 34
+FORCE = 40
+BIAS = 46
+AT = 47
+MOVING = 48
+ROOM = 49
 """Columns of the room of a joint: axes (row by row), origin, unit motion, composite body, spatial velocity,
 acceleration and force, bias force, position, velocity; one array for all, since compiled code counts references to
 every array that it touches."""
@@ -150,7 +164,11 @@ every array that it touches."""
 PARENT, SLIDE, FIRST, END = range(4)
 """Columns of the joints as whole numbers."""
 
-OFFSET, ZERO, STIFFNESS, REST, SHAPE = 9, 12, 13, 14, 15
+OFFSET = 9
+ZERO = 12
+STIFFNESS = 13
+REST = 14
+SHAPE = 15
 """Columns of their geometry, after the rotation row by row."""
 
 
@@ -177,53 +195,76 @@ def place(joints, shape, room):  # type: ignore[no-untyped-def]
         for a in range(3):
             r = FRAME + 3 * a
             if before < 0:
-                x, y, z = shape[i, r], shape[i, r + 1], shape[i, r + 2]
+                x = shape[i, r]
+                y = shape[i, r + 1]
+                z = shape[i, r + 2]
                 at = shape[i, OFFSET + a]
             else:
-                u, v, w = room[before, r], room[before, r + 1], room[before, r + 2]
+                u = room[before, r]
+                v = room[before, r + 1]
+                w = room[before, r + 2]
                 x = u * shape[i, 0] + v * shape[i, 3] + w * shape[i, 6]
                 y = u * shape[i, 1] + v * shape[i, 4] + w * shape[i, 7]
                 z = u * shape[i, 2] + v * shape[i, 5] + w * shape[i, 8]
                 at = room[before, ORIGIN + a]
                 at += u * shape[i, OFFSET] + v * shape[i, OFFSET + 1] + w * shape[i, OFFSET + 2]
-            room[i, r], room[i, r + 1], room[i, r + 2] = x, y, z
+            room[i, r] = x
+            room[i, r + 1] = y
+            room[i, r + 2] = z
             room[i, ORIGIN + a] = at
         if joints[i, SLIDE]:
             for a in range(3):
                 along = room[i, FRAME + 3 * a + 2]
                 room[i, ORIGIN + a] += along * turn
-                room[i, SCREW + a], room[i, SCREW + 3 + a] = 0.0, along
+                room[i, SCREW + a] = 0.0
+                room[i, SCREW + 3 + a] = along
         else:
-            c, s = np.cos(turn), np.sin(turn)
+            c = np.cos(turn)
+            s = np.sin(turn)
             for a in range(3):
                 r = FRAME + 3 * a
-                x, y = room[i, r], room[i, r + 1]
-                room[i, r], room[i, r + 1] = c * x + s * y, c * y - s * x
+                x = room[i, r]
+                y = room[i, r + 1]
+                room[i, r] = c * x + s * y
+                room[i, r + 1] = c * y - s * x
                 room[i, SCREW + a] = room[i, r + 2]
-            x, y, z = room[i, ORIGIN], room[i, ORIGIN + 1], room[i, ORIGIN + 2]
+            x = room[i, ORIGIN]
+            y = room[i, ORIGIN + 1]
+            z = room[i, ORIGIN + 2]
             u, v, w = cross(x, y, z, room[i, SCREW], room[i, SCREW + 1], room[i, SCREW + 2])
-            room[i, SCREW + 3], room[i, SCREW + 4], room[i, SCREW + 5] = u, v, w
+            room[i, SCREW + 3] = u
+            room[i, SCREW + 4] = v
+            room[i, SCREW + 5] = w
 
 
 @inlined
 def weigh(loads, log, room):  # type: ignore[no-untyped-def]
     """Write each link's numbers about the world's origin in world axes, from those in its own frame (L, J, 10)."""
     for i in range(loads.shape[1]):
-        m, cx, cy, cz = loads[log, i, 0], loads[log, i, 1], loads[log, i, 2], loads[log, i, 3]
+        m = loads[log, i, 0]
+        cx = loads[log, i, 1]
+        cy = loads[log, i, 2]
+        cz = loads[log, i, 3]
         hx = room[i, 0] * cx + room[i, 1] * cy + room[i, 2] * cz
         hy = room[i, 3] * cx + room[i, 4] * cy + room[i, 5] * cz
         hz = room[i, 6] * cx + room[i, 7] * cy + room[i, 8] * cz
         k = BODY + 4
         for a in range(3):
-            u, v, w = room[i, 3 * a], room[i, 3 * a + 1], room[i, 3 * a + 2]
+            u = room[i, 3 * a]
+            v = room[i, 3 * a + 1]
+            w = room[i, 3 * a + 2]
             x = u * loads[log, i, 4] + v * loads[log, i, 5] + w * loads[log, i, 6]
             y = u * loads[log, i, 5] + v * loads[log, i, 7] + w * loads[log, i, 8]
             z = u * loads[log, i, 6] + v * loads[log, i, 8] + w * loads[log, i, 9]
             for b in range(a, 3):
                 room[i, k] = x * room[i, 3 * b] + y * room[i, 3 * b + 1] + z * room[i, 3 * b + 2]
                 k += 1
-        px, py, pz = room[i, ORIGIN], room[i, ORIGIN + 1], room[i, ORIGIN + 2]
-        gx, gy, gz = 2.0 * hx + m * px, 2.0 * hy + m * py, 2.0 * hz + m * pz
+        px = room[i, ORIGIN]
+        py = room[i, ORIGIN + 1]
+        pz = room[i, ORIGIN + 2]
+        gx = 2.0 * hx + m * px
+        gy = 2.0 * hy + m * py
+        gz = 2.0 * hz + m * pz
         trace = px * gx + py * gy + pz * gz
         room[i, BODY + 4] += trace - px * gx
         room[i, BODY + 5] -= px * hy + py * hx + m * px * py
@@ -231,17 +272,26 @@ def weigh(loads, log, room):  # type: ignore[no-untyped-def]
         room[i, BODY + 7] += trace - py * gy
         room[i, BODY + 8] -= py * hz + pz * hy + m * py * pz
         room[i, BODY + 9] += trace - pz * gz
-        room[i, BODY], room[i, BODY + 1] = m, hx + m * px
-        room[i, BODY + 2], room[i, BODY + 3] = hy + m * py, hz + m * pz
+        room[i, BODY] = m
+        room[i, BODY + 1] = hx + m * px
+        room[i, BODY + 2] = hy + m * py
+        room[i, BODY + 3] = hz + m * pz
 
 
 @inlined
 def momentum(room, i, s):  # type: ignore[no-untyped-def]
     """Return angular and linear momentum about the origin of a joint's body at the spatial velocity in column s."""
-    b, a = BODY, s
-    wx, wy, wz = room[i, a], room[i, a + 1], room[i, a + 2]
-    vx, vy, vz = room[i, a + 3], room[i, a + 4], room[i, a + 5]
-    hx, hy, hz = room[i, b + 1], room[i, b + 2], room[i, b + 3]
+    b = BODY
+    a = s
+    wx = room[i, a]
+    wy = room[i, a + 1]
+    wz = room[i, a + 2]
+    vx = room[i, a + 3]
+    vy = room[i, a + 4]
+    vz = room[i, a + 5]
+    hx = room[i, b + 1]
+    hy = room[i, b + 2]
+    hz = room[i, b + 3]
     x, y, z = cross(hx, hy, hz, vx, vy, vz)
     u, v, w = cross(wx, wy, wz, hx, hy, hz)
     m = room[i, b]
@@ -259,7 +309,8 @@ def momentum(room, i, s):  # type: ignore[no-untyped-def]
 def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
     """Write the spatial force that each link needs at the velocities, without acceleration of the joints."""
     for i in range(len(joints)):
-        before, dq = joints[i, PARENT], room[i, MOVING]
+        before = joints[i, PARENT]
+        dq = room[i, MOVING]
         for k in range(6):
             room[i, SPEED + k] = room[i, SCREW + k] * dq
             room[i, RATE + k] = 0.0 if k < 3 else -gravity[k - 3]
@@ -267,10 +318,18 @@ def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
             for k in range(6):
                 room[i, SPEED + k] += room[before, SPEED + k]
                 room[i, RATE + k] = room[before, RATE + k]
-        s0, s1, s2 = room[i, SCREW] * dq, room[i, SCREW + 1] * dq, room[i, SCREW + 2] * dq
-        s3, s4, s5 = room[i, SCREW + 3] * dq, room[i, SCREW + 4] * dq, room[i, SCREW + 5] * dq
-        w0, w1, w2 = room[i, SPEED], room[i, SPEED + 1], room[i, SPEED + 2]
-        v0, v1, v2 = room[i, SPEED + 3], room[i, SPEED + 4], room[i, SPEED + 5]
+        s0 = room[i, SCREW] * dq
+        s1 = room[i, SCREW + 1] * dq
+        s2 = room[i, SCREW + 2] * dq
+        s3 = room[i, SCREW + 3] * dq
+        s4 = room[i, SCREW + 4] * dq
+        s5 = room[i, SCREW + 5] * dq
+        w0 = room[i, SPEED]
+        w1 = room[i, SPEED + 1]
+        w2 = room[i, SPEED + 2]
+        v0 = room[i, SPEED + 3]
+        v1 = room[i, SPEED + 4]
+        v2 = room[i, SPEED + 5]
         x, y, z = cross(w0, w1, w2, s0, s1, s2)
         room[i, RATE] += x
         room[i, RATE + 1] += y
@@ -284,9 +343,13 @@ def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
         l0, l1, l2, p0, p1, p2 = momentum(room, i, SPEED)
         x, y, z = cross(w0, w1, w2, l0, l1, l2)
         u, g, w = cross(v0, v1, v2, p0, p1, p2)
-        room[i, FORCE], room[i, FORCE + 1], room[i, FORCE + 2] = f0 + x + u, f1 + y + g, f2 + z + w
+        room[i, FORCE] = f0 + x + u
+        room[i, FORCE + 1] = f1 + y + g
+        room[i, FORCE + 2] = f2 + z + w
         x, y, z = cross(w0, w1, w2, p0, p1, p2)
-        room[i, FORCE + 3], room[i, FORCE + 4], room[i, FORCE + 5] = f3 + x, f4 + y, f5 + z
+        room[i, FORCE + 3] = f3 + x
+        room[i, FORCE + 4] = f4 + y
+        room[i, FORCE + 5] = f5 + z
 
 
 @inlined

@@ -1,24 +1,26 @@
-"""Effects hidden in logs that another simulator made are found, and nothing where nothing is hidden."""
+"""Effects hidden in logs are found, and nothing where nothing is hidden."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from lab.innovations.data import data_of
-from lab.innovations.laws import ROW
-from lab.innovations.model import setting_of
-from lab.innovations.result import dependences, effects_of
-from lab.innovations.search import baseline, describe, search
 from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.effect_set import EffectValues, read_effects, write_effects
-from tests.sysid.conftest import log_of, pair
-
-__all__ = ["log_of", "pair"]
+from mimic.sysid.engine.data import data_of
+from mimic.sysid.engine.effects import dependences, effects_of, motion_of
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.model import setting_of
+from mimic.sysid.engine.search import Hunt, Outcome, baseline, describe, fitted_baseline, search
 
 ONE_WAY = EffectValues(name="asymmetric_friction", joints=("a",), values={"level": np.array([0.02])})
 SPRING = EffectValues(name="spring", joints=("a",), values={"stiffness": np.array([0.5])})
 FRICTION = ("stribeck", "asymmetric_friction", "quadratic_drag", "spring")
+
+
+def found(logs, machine) -> Outcome:
+    null = fitted_baseline(baseline(setting_of(data_of(logs, machine)), BASELINE))
+    return search(null, Hunt(effects=FRICTION, say=lambda text: None))
 
 
 def test_predictions_of_the_true_machine_miss_by_its_noise(pair, log_of):
@@ -47,33 +49,38 @@ def test_a_machine_that_flies_apart_does_so_for_a_block_only(pair, log_of):
 
 def test_what_is_named_is_confirmed_by_whole_logs_left_out(pair, log_of):
     logs = [log_of(pair, SPRING, fast=fast) for fast in (0.0, 0.1, 0.2)]
-    outcome = search(data_of(logs, pair), BASELINE, FRICTION)
+    outcome = found(logs, pair)
     assert describe(outcome.best.model) == "spring (a)"
     new, old = (np.nanstd(one.model.unseen()[:, 0]) for one in (outcome.best, outcome.null))
     assert new < 0.2 * old
 
 
 def test_nothing_is_found_where_nothing_is_hidden(pair, log_of):
-    outcome = search(data_of([log_of(pair)], pair), BASELINE, FRICTION)
+    outcome = found([log_of(pair)], pair)
     assert describe(outcome.best.model) == "nothing"
     assert outcome.explained
 
 
+def test_a_constant_torque_is_a_pull_or_a_difference_of_friction(pair, log_of):
+    outcome = found([log_of(pair, ONE_WAY)], pair)
+    explanations = {outcome.best.model.effects, *dict(outcome.ties)}
+    assert explanations >= {(("asymmetric_friction", (0,)),), (("spring", (0,)),)}
+
+
 def test_a_hidden_effect_is_named_in_its_joint_and_can_be_written(pair, log_of, tmp_path):
-    outcome = search(data_of([log_of(pair, ONE_WAY)], pair), BASELINE, FRICTION)
-    assert describe(outcome.best.model) == "asymmetric_friction (a)"
-    assert "spring (a)" in dict(outcome.ties)  # its moment is the same torque
-    level = outcome.best.model.table[ROW["asymmetric_friction", "level"], 0]
-    assert level == pytest.approx(0.02, rel=0.1)
+    outcome = found([log_of(pair, SPRING)], pair)
+    assert describe(outcome.best.model) == "spring (a)"
+    stiffness = outcome.best.model.table[ROW["spring", "stiffness"], 0]
+    assert stiffness == pytest.approx(0.5, rel=0.1)
     write_effects(effects_of(outcome.best.model), tmp_path / "effects.toml")
     read = {e.name: e for e in read_effects(tmp_path / "effects.toml")}
-    low, high = read["asymmetric_friction"].intervals["level"][0]
-    assert low < level < high
+    low, high = read["spring"].intervals["stiffness"][0]
+    assert low < stiffness < high
 
 
 def test_an_unknown_torque_says_that_it_depends_on_position(pair, log_of):
     data = data_of([log_of(pair, SPRING)], pair)
     model = baseline(setting_of(data), BASELINE).settled()
-    first, second = dependences(model)
-    assert first.on[0][0] == "position"
-    assert first.size > 3 * second.size
+    motion = motion_of(model)
+    assert dependences(model, motion)[0][0][0] == "position"
+    assert motion.unknown[:, 0].std() > 3 * motion.unknown[:, 1].std()

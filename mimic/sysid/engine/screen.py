@@ -9,16 +9,17 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from lab.innovations.laws import ROW
-from lab.innovations.likelihood import weights
-from lab.innovations.model import STEP, Free, Model, Setting, from_fit, to_fit
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.catalogue.kinds import MODEL, Effect, Parameter
 from mimic.dynamics.law import OF_DRIVES
 from mimic.records import FloatArray
+from mimic.sysid.engine.laws import ROW
+from mimic.sysid.engine.likelihood import weights
+from mimic.sysid.engine.model import STEP, Free, Model, Setting, from_fit, to_fit
 
 PLACES = 4
 """Most places at which a number that has many is tried, from the first to the last."""
@@ -48,6 +49,15 @@ class Place:
     """What each does to the whitened innovations, the model's numbers projected out (C, N)."""
 
 
+class Job(NamedTuple):
+    """An effect at one place in joints that share a pass."""
+
+    name: str
+    joints: list[int]
+    places: dict[int, Place]
+    tables: list[FloatArray]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
     """An effect in some joints with the numbers of a linear step."""
@@ -71,7 +81,8 @@ class Found:
 def applicable(setting: Setting, baseline: Sequence[str]) -> tuple[str, ...]:
     """Return the effects that may be looked for in a machine."""
 
-    drives, alone = setting.data.machine.drives, setting.data.joints == 1
+    drives = setting.data.machine.drives
+    alone = setting.data.joints == 1
     senseless = {"motor"} if drives.volts is None else {"kt_gain", "supply_sag"}
     senseless |= {"coupling", "joint_delay"} if alone else set()
 
@@ -85,6 +96,13 @@ def applicable(setting: Setting, baseline: Sequence[str]) -> tuple[str, ...]:
 def wanted(name: str) -> tuple[Parameter, ...]:
     """Return the numbers of an effect that are fitted."""
     return tuple(p for p in CATALOGUE[name].parameters if not p.fixed)
+
+
+def _set_fixed(table: FloatArray, name: str, where: slice | int) -> None:
+    """Give the numbers of an effect that are never fitted their values in a table."""
+    for p in CATALOGUE[name].parameters:
+        if p.fixed and p.starts:
+            table[ROW[name, p.name], where] = p.starts[0]
 
 
 def starts_of(
@@ -165,10 +183,11 @@ class Screen:
         out = [self._together(name, group, own) for name, own in best.items() for group in _groups(name, own, self)]
         return out
 
-    def _run(self, jobs: Sequence[tuple]) -> list[FloatArray]:  # type: ignore[type-arg]
+    def _run(self, jobs: Sequence[Job]) -> list[FloatArray]:
         """Return what each table of each job does to the errors: in short steps where there are thresholds."""
         out: list[FloatArray] = []
-        run, gains = self.model.setting.passes.run, self.model.gains
+        run = self.model.setting.passes.run
+        gains = self.model.gains
         (still,) = run([self.model.table], gains, 2.0 * STEP)
         for name, _, _, tables in jobs:
             fine = CATALOGUE[name].structural
@@ -176,33 +195,43 @@ class Screen:
             out += [e - (self.model.e if fine else still) for e in made]
         return out
 
-    def _jobs(self, name: str) -> list[tuple]:  # type: ignore[type-arg]
-        """Return for each place of an effect the joints that share a pass, their values, and the tables to pass."""
-        spec, machine, setting = CATALOGUE[name], self.model.data.machine, self.model.setting
-        taken = {j for n, joints in self.model.effects if n == name for j in joints}
-        if spec.scope == "machine":
-            rounds = [] if taken else [[-1]]
-        else:
-            place = np.asarray(machine.place)
-            free = [j for j in range(len(place)) if j not in taken and (machine.last[j] or not spec.tip)]
-            rounds = [[j for j in free if place[j] == k] for k in sorted({int(place[j]) for j in free})]
+    def _jobs(self, name: str) -> list[Job]:
+        """Return what passes try of an effect."""
         jobs = []
-        for joints in rounds:
-            axes = {
-                j: [starts_of(p, name, setting, j, self._peaks[max(j, 0)], self._most) for p in wanted(name)]
-                for j in joints
-            }
-            grids = {j: list(itertools.product(*a)) for j, a in axes.items()}
-            for k in range(max(len(g) for g in grids.values())):
+        for joints in self._rounds(name):
+            grids = {j: self._grid(name, j) for j in joints}
+            for k in range(max(len(grid) for grid in grids.values())):
                 here = [j for j in joints if k < len(grids[j])]
                 places = {j: self._place(name, j, grids[j][k]) for j in here}
                 columns = max(len(p.moved) for p in places.values())
                 tables = [self._table(name, places, c) for c in range(columns)]
-                jobs.append((name, here, places, tables))
+                jobs.append(Job(name, here, places, tables))
         return jobs
 
+    def _rounds(self, name: str) -> list[list[int]]:
+        """Return the joints in which an effect can be tried, those that share a pass together."""
+        machine = self.model.data.machine
+        taken = dict(self.model.effects).get(name, ())
+        if CATALOGUE[name].scope == "machine":
+            return [] if taken else [[-1]]
+        able = self.model.data.moves & (np.asarray(machine.last) | (not CATALOGUE[name].tip))
+        rounds: dict[int, list[int]] = {}
+        for j in np.flatnonzero(able).tolist():
+            if j not in taken:
+                rounds.setdefault(int(machine.place[j]), []).append(j)
+        return [rounds[place] for place in sorted(rounds)]
+
+    def _grid(self, name: str, j: int) -> list[tuple[float | None, ...]]:
+        """Return the values at which the numbers of an effect are tried in a joint."""
+        peaks = self._peaks[max(j, 0)]
+        axes = [starts_of(p, name, self.model.setting, j, peaks, self._most) for p in wanted(name)]
+        return list(itertools.product(*axes))
+
     def _place(self, name: str, j: int, start: tuple[float | None, ...]) -> Place:
-        setting, values, alone, together = self.model.setting, {}, [], []
+        setting = self.model.setting
+        values = {}
+        alone = []
+        together = []
         for p, value in zip(wanted(name), start, strict=True):
             own = float(self.model.table[ROW[name, p.name], max(j, 0)])
             if value is not None:
@@ -224,6 +253,7 @@ class Screen:
         table = self.model.table.copy()
         for j, place in places.items():
             where = slice(None) if j < 0 else j
+            _set_fixed(table, name, where)
             for p in wanted(name):
                 if p.shape or p.name in place.moved[column]:
                     table[ROW[name, p.name], where] = place.values[p.name]
@@ -259,7 +289,8 @@ class Screen:
     def _together(self, name: str, group: tuple[int, ...], own: Mapping[int, tuple[float, Place]]) -> Found:
         places = [own[j][1] for j in group]
         steps, gain = self._step(np.concatenate([p.columns for p in places]))
-        values, at = list[Mapping[str, float]](), 0
+        values = list[Mapping[str, float]]()
+        at = 0
         for j, place in zip(group, places, strict=True):
             made = dict(place.values)
             for moved in place.moved:
@@ -288,15 +319,22 @@ class Screen:
 
 
 def _groups(name: str, own: Mapping[int, tuple[float, Place]], screen: Screen) -> list[tuple[int, ...]]:
-    """Return the joints in which an effect is tried: each alone and all together; whole chains where they share it."""
-    chain = np.asarray(screen.model.data.machine.chain)
+    """Return the joints in which an effect is tried: all together, those at one place of their chains, and each alone;
+    whole chains where they share it.
+    """
+    machine = screen.model.data.machine
     every = tuple(sorted(own))
     if not every:
         return []
-    if CATALOGUE[name].chain_shared and CATALOGUE[name].scope == "joint":
-        groups = {tuple(j for j in every if chain[j] == chain[i]) for i in every}
-        return sorted(groups | {every})
-    return sorted({(j,) for j in every} | {every})
+    groups = {every}
+    if every == (-1,):
+        return [every]
+    shared = CATALOGUE[name].chain_shared
+    for i in every:
+        alike = machine.chain if shared else machine.place
+        groups.add(tuple(j for j in every if alike[j] == alike[i]))
+        groups |= set() if shared else {(i,)}
+    return sorted(groups)
 
 
 def with_effect(model: Model, found: Found) -> Model:
@@ -312,11 +350,14 @@ def with_effect(model: Model, found: Found) -> Model:
 
 
 def _at(model: Model, found: Found, numbers: Sequence[Mapping[str, float]], share: float) -> Model:
-    table, keys = model.table.copy(), []
+    table = model.table.copy()
+    keys = []
     for j, values in zip(found.joints, numbers, strict=True):
         where = slice(None) if j < 0 else j
+        _set_fixed(table, found.name, where)
         for parameter, value in values.items():
-            p, row = CATALOGUE[found.name].parameter(parameter), ROW[found.name, parameter]
+            p = CATALOGUE[found.name].parameter(parameter)
+            row = ROW[found.name, parameter]
             own = to_fit(p, float(model.table[row, max(j, 0)]))
             part = 1.0 if p.shape or p.neutral == MODEL else share
             table[row, where] = from_fit(p, own + part * (to_fit(p, value) - own))

@@ -1,6 +1,6 @@
-"""The identification by innovations on shared logs, each with what is known of it.
+"""Calibrations of shared logs, each with what is known of it.
 
-    python -m lab.innovations DATA OUT [SET ...]
+    python -m lab.real_logs.known DATA OUT [SET ...] [--only NAME]
 
 reads DATA/arm, arm2, xl330, emps, sts3250 and go2_air_chirp, and if asked for DATA/ur10e (ur-20_01_22-joint_1.csv of
 shamilmamedov/dynamic_calibration), writes a line of JSON for each case to OUT and prints a table. A case is right if
@@ -14,17 +14,12 @@ import argparse
 import json
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from lab.innovations.data import Data, data_of
-from lab.innovations.laws import KEYS
-from lab.innovations.model import Model
-from lab.innovations.search import Outcome, describe, search
 from lab.real_logs.logs import (
     EMPS_MJCF,
     SERVO_MJCF,
@@ -38,9 +33,13 @@ from lab.real_logs.logs import (
     xl330_logs,
 )
 from mimic.config.sysid import CalibrateSettings
-from mimic.dynamics.machine import MachineModel, read_machine
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.machine import MachineModel, as_logged, read_machine
 from mimic.io.joint_log import JointLog, read_log
-from mimic.sysid.calibrate import OF_VOLTAGE_DRIVES
+from mimic.sysid.calibrate import calibrate
+from mimic.sysid.log.checks import check_log
+from mimic.sysid.predict import predict
+from mimic.sysid.result import Calibration, Errors
 
 BOTH, ELBOW, SHOULDER, ANY = ("shoulder", "elbow"), ("elbow",), ("shoulder",), None
 
@@ -79,42 +78,40 @@ class Case:
     """Logs of a machine."""
 
     name: str
-    data: Data
-    baseline: tuple[str, ...]
-    hidden: tuple[Hidden, ...] | None
+    machine: MachineModel
+    logs: dict[str, JointLog]
+    hidden: tuple[Hidden, ...] | None = None
     """What is right; None where nobody knows."""
+    unseen: dict[str, JointLog] = field(default_factory=dict)
+    """Logs that are predicted, not fitted."""
 
 
 def cases(data: Path, sets: tuple[str, ...]) -> Iterator[Case]:
     """Yield the cases of some sets."""
-    usual = CalibrateSettings().baseline
     for name in sets:
         if name in ("arm", "arm2"):
             machine = read_machine(data / name / "arm.xml")
             for path in sorted((data / name).glob("*.parquet")):
-                made = data_of([read_log(path)], machine, (path.stem,))
-                yield Case(name=path.stem, data=made, baseline=usual, hidden=HIDDEN[path.stem])
+                logs = {path.stem: read_log(path)}
+                yield Case(name=path.stem, machine=machine, logs=logs, hidden=HIDDEN[path.stem])
         elif name == "emps":
             columns = read_emps(data / "emps" / "DATA_EMPS.parquet")
             log = emps_log(columns, identify(columns))
-            yield _real("EMPS", [log], _machine(EMPS_MJCF), usual)
+            yield Case(name="EMPS", machine=_machine(EMPS_MJCF), logs={"emps": log})
         elif name == "sts3250":
-            yield _real("STS3250", list(servo_logs(data / "sts3250").values()), _machine(SERVO_MJCF), (*usual, "gains"))
+            logs = servo_logs(data / "sts3250")
+            yield Case(name="STS3250", machine=_machine(SERVO_MJCF), logs=logs)
         elif name == "xl330":
-            logs = list(xl330_logs(data / "xl330").values())
-            yield _real("XL330", logs, _machine(XL330_MJCF), OF_VOLTAGE_DRIVES)
+            logs = xl330_logs(data / "xl330")
+            yield Case(name="XL330", machine=_machine(XL330_MJCF), logs=logs)
         elif name == "ur10e":
-            yield _real("UR10e base", [_ur10e_log(data / "ur10e")], _machine(UR10E_MJCF), usual)
+            logs = {"ur10e": _ur10e_log(data / "ur10e")}
+            yield Case(name="UR10e base", machine=_machine(UR10E_MJCF), logs=logs)
         elif name == "go2":
             machine = read_machine(data / "go2_air_chirp" / "go2_hung.xml")
-            for half, log in zip(
-                ("first", "second"), divided(go2_log(data / "go2_air_chirp" / "log.parquet")), strict=True
-            ):
-                yield _real(f"Go2 {half} half", [log], machine, usual)
-
-
-def _real(name: str, logs: list[JointLog], machine: MachineModel, baseline: tuple[str, ...]) -> Case:
-    return Case(name=name, data=data_of(logs, machine), baseline=baseline, hidden=None)
+            log = go2_log(data / "go2_air_chirp" / "log.parquet")
+            for half, one in zip(("first", "second"), divided(log), strict=True):
+                yield Case(name=f"Go2 {half} half", machine=machine, logs={half: one})
 
 
 UR10E_MJCF = """<mujoco><worldbody><body name="arm"><inertial pos="0 0 0" mass="30" diaginertia="4 4 4"/>
@@ -142,59 +139,44 @@ def _machine(text: str) -> MachineModel:
         return read_machine(path)
 
 
-def right(case: Case, outcome: Outcome) -> bool | None:
+def right(case: Case, found: Calibration) -> bool | None:
     """Return whether what was found is what is hidden; None where nobody knows."""
     if case.hidden is None:
         return None
-    joints = case.data.machine.joints
-    said = {name: tuple(joints[j] for j in own) for name, own in outcome.best.model.effects}
+    said = {one.name: one.joints for one in found.found}
     if not case.hidden:
-        return not (said and outcome.explained)
+        return not (said and found.explained)
     return any(
         set(said) == set(hidden) and all(own is None or said[name] == own for name, own in hidden.items())
         for hidden in case.hidden
     )
 
 
-def unseen(model: Model) -> list[float]:
-    """Return the mean absolute error in whole logs of fits to the others, from where a model is, by folds."""
-    data, e = model.data, np.abs(model.unseen())
-    folds = [data.counts & (data.apart == k)[data.block][:, None] for k in range(int(data.apart.max()) + 1)]
-    return [float(e[rows].mean()) for rows in folds]
+def replayed(case: Case, found: Calibration) -> dict[str, list[float]]:
+    """Return the mean absolute error of each log in one piece from its first reading, as given and with the effects."""
+    errors = {}
+    for name, log in (case.logs | case.unseen).items():
+        machine = as_logged(case.machine, log.metadata, by_force=log.q_des is None)
+        sets = (EffectSet(), found.effects)
+        errors[name] = [float(np.nanmean(np.abs(predict(log, machine, one, whole=True)))) for one in sets]
+    return errors
 
 
-def whole(model: Model) -> Model:
-    """Return a model with the errors of plain replays of whole logs."""
-    record = model.data.record
-    data = replace(model.data, record=record._replace(lead=np.zeros_like(record.lead)))
-    return replace(model, setting=replace(model.setting, passes=model.setting.passes.of(data))).evaluated()
-
-
-def row(case: Case, outcome: Outcome) -> dict[str, object]:
+def row(case: Case, found: Calibration) -> dict[str, object]:
     """Return what was found as numbers and words."""
-    scale = 1e6 if case.data.machine.unit == "m" else 1e3
-    model = outcome.best.model
-    made = whole(model)
-    e = np.abs(np.where(model.data.counts, np.nan_to_num(made.e), 0.0)).sum() / model.data.counts.sum()
+    scale = 1e6 if case.machine.unit == "m" else 1e3
+    effects = {e.name: {k: np.round(v, 6).tolist() for k, v in e.values.items()} for e in found.effects}
     return {
         "name": case.name,
-        "found": describe(model) + ("" if outcome.explained or not model.effects else "; the rest: unknown torque"),
-        "right": right(case, outcome),
-        "explained": outcome.explained,
-        "ties": outcome.ties,
-        "numbers": {
-            f"{name}.{key}": [float(f"{v:.4g}") for v in model.table[index]]
-            for index, (name, key) in enumerate(KEYS)
-            if name in dict(model.effects) or name in case.baseline
-        },
-        "before": [round(float(x) * scale, 3) for x in outcome.before],
-        "after": [round(float(x) * scale, 3) for x in outcome.after],
-        "noise": [round(float(x) * scale, 3) for x in outcome.noise],
-        "mean_absolute": float(e),
-        "unseen": unseen(outcome.null.model) if case.data.apart.any() else [],
-        "unseen_found": unseen(model) if case.data.apart.any() else [],
-        "passes": outcome.passes,
-        "seconds": round(outcome.seconds, 1),
+        "found": " + ".join(f"{one.name} ({', '.join(one.joints)})" for one in found.found) or "nothing",
+        "right": right(case, found),
+        "explained": found.explained,
+        "sentence": found.sentence,
+        "effects": effects,
+        **{end: Errors.total(getattr(found, end).held_out) * scale for end in ("nominal", "baseline", "final")},
+        "noise": Errors.total(found.noise) * scale,
+        "replayed": replayed(case, found),
+        "passes": found.passes,
     }
 
 
@@ -205,19 +187,27 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("sets", nargs="*", default=["arm", "arm2", "xl330", "emps", "sts3250", "go2"])
     parser.add_argument("--only", default="")
+    parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
-    print("| log | found | right | before | after | noise | s |\n|---|---|---|---|---|---|---|", flush=True)
-    with threadpool_limits(1), arguments.out.open("a", encoding="utf-8") as out:
+    print("| log | found | right | baseline | found | noise | s |\n|---|---|---|---|---|---|---|", flush=True)
+    with arguments.out.open("a", encoding="utf-8") as out:
         for case in cases(arguments.data, tuple(arguments.sets)):
-            if arguments.only and arguments.only not in case.name:
-                continue
-            began = time.perf_counter()
-            made = row(case, search(case.data, case.baseline))
-            made["wall"] = round(time.perf_counter() - began, 1)
-            out.write(json.dumps(made) + "\n")
-            out.flush()
-            cells = [made[k] for k in ("name", "found", "right", "before", "after", "noise", "seconds")]
-            print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+            if arguments.only in case.name:
+                limits = np.stack([case.machine.low, case.machine.high], -1)
+                logs = [
+                    check_log(log.of(case.machine.joints), limits, case.machine.unit).log for log in case.logs.values()
+                ]
+                began = time.process_time()
+                found = calibrate(
+                    logs, case.machine, CalibrateSettings(threads=arguments.threads), names=tuple(case.logs)
+                )
+                seconds = round(time.process_time() - began, 1)
+                made = row(case, found) | {"seconds": seconds}
+                out.write(json.dumps(made) + "\n")
+                out.flush()
+                shown = (case.name, made["found"], made["right"])
+                numbers = tuple(f"{float(str(made[k])):.3g}" for k in ("baseline", "final", "noise", "seconds"))
+                print("| " + " | ".join(map(str, (*shown, *numbers))) + " |", flush=True)
 
 
 if __name__ == "__main__":

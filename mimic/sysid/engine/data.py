@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from lab.innovations.predictor import Record
-from lab.innovations.tree import Tree, tree_of
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.engine.predictor import Record
+from mimic.sysid.engine.tree import Tree, tree_of
 from mimic.sysid.log.noise import coarse_steps, noise_floor
-from mimic.sysid.log.pool import VOLTAGE, Pool, enabled, pool, rows_of, valid_samples
+from mimic.sysid.log.pool import VOLTAGE, Pool, enabled, pool, valid_samples
 from mimic.sysid.log.timing import SendingTimes, at_rows
 
 SEEK = 0.3
@@ -46,6 +47,8 @@ class Data:
     """Logs of one machine, ready for passes."""
 
     machine: MachineModel
+    log: JointLog
+    """All logs, one after another."""
     tree: Tree
     record: Record
     names: tuple[str, ...]
@@ -54,6 +57,8 @@ class Data:
     """Readings that count (T, J)."""
     noise: FloatArray
     """Standard deviation of a reading (J,) [rad or m]."""
+    encoder_steps: FloatArray
+    """Of encoders so coarse that readings show it (J,), else 0 [rad or m]."""
     block: IntArray
     """Block of each row (T,)."""
     fold: IntArray
@@ -62,6 +67,8 @@ class Data:
     """The same of whole logs (B,): those of some gains, loads, or single ones; one fold where there is one log."""
     sending: tuple[SendingTimes, ...]
     """All that the logs allow."""
+    times: SendingTimes
+    """Those in use."""
 
     @property
     def joints(self) -> int:
@@ -75,7 +82,12 @@ class Data:
 
     def sent_at(self, times: SendingTimes) -> Data:
         """Return the data with targets sent at these times."""
-        return replace(self, record=_targets(self.record, self._asked, times, self._begins))
+        sent = times.at.copy()
+        first = np.isin(times.rows, np.flatnonzero(np.concatenate([[True], np.diff(self.record.log) > 0])))
+        sent[first] = self.record.t[times.rows[first]] - BEFORE
+        asked = self.log.q_des if self.log.q_des is not None else np.zeros_like(self.log.q)
+        goal = np.ascontiguousarray(asked[times.rows])
+        return replace(self, times=times, record=self.record._replace(sent=sent, goal=goal))
 
     def near(self) -> Data:
         """Return the data with predictions to the end of shorter blocks."""
@@ -84,11 +96,9 @@ class Data:
         return replace(self, record=record._replace(lead=_leads(record.t, block, record.fresh)))
 
     @property
-    def _begins(self) -> IntArray:
-        return np.flatnonzero(np.concatenate([[True], np.diff(self.record.log) > 0]))
-
-    _asked: FloatArray
-    """Target in each row (T, J)."""
+    def moves(self) -> BoolArray:
+        """Which joints move at all (J,)."""
+        return np.ptp(np.nan_to_num(self.log.q), axis=0) > 0.0
 
 
 def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] = ()) -> Data:
@@ -103,24 +113,21 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         CalibrationError: If the logs contradict each other, or lack a joint.
     """
     names = tuple(names) or tuple(f"log {i + 1}" for i in range(len(logs)))
-    together = pool([log.of(model.joints) for log in logs], model, 1e-3, names)
-    log, parts = together.log, together.parts
+    together = pool([log.of(model.joints) for log in logs], model, names)
+    log = together.log
+    parts = together.parts
     machine = as_logged(model, logs[0].metadata, by_force=log.q_des is None)
     t = log.t - log.t[0]
     known = valid_samples(log)[:, None] & np.isfinite(log.q)
-    y = np.where(known, log.q, np.nan)
     which = np.repeat(np.arange(len(parts)), [p.rows for p in parts])
     fresh = np.concatenate([[True], (np.diff(which) > 0) | (np.diff(t) > GAP)])
-    begun = t[np.maximum.accumulate(np.where(fresh, np.arange(len(t)), 0))]
+    since = t - t[np.maximum.accumulate(np.where(fresh, np.arange(len(t)), 0))]
     length = np.array([p.end - p.begin for p in parts])[which]
-    since = t - begun
-    d = machine.drives
-    volts = np.zeros(len(machine.joints)) if d.volts is None else np.asarray(d.volts, dtype=float)
-    asked = log.q_des if log.q_des is not None else np.zeros_like(log.q)
     block = _blocks(t, which)
+    motors = motors_of(machine)
     record = Record(
         t=t,
-        y=y,
+        y=np.where(known, log.q, np.nan),
         log=which,
         since=t - np.array([p.begin for p in parts])[which],
         fresh=fresh,
@@ -130,43 +137,56 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         goal=np.zeros((0, len(machine.joints))),
         force=np.zeros_like(log.q) if log.force is None else np.array(log.force),
         on=enabled(log).astype(float),
-        supply=_supply(together, volts),
+        supply=_supply(together, motors["volts"]),
         kp=np.stack([p.kp for p in parts]),
         kd=np.stack([p.kd for p in parts]),
         payload=np.stack([p.payload for p in parts]),
-        volts=volts,
-        kt=np.ones_like(volts) if d.kt is None else np.asarray(d.kt, dtype=float),
-        ohm=np.ones_like(volts) if d.resistance is None else np.asarray(d.resistance, dtype=float),
-        neighbour=np.asarray(d.neighbour),
+        **motors,
     )
-    spread = noise_floor(np.where(np.isfinite(log.q), log.q, 0.0), log.rate)
+    steps, noise = _encoders(log)
+    sending = together.sending if log.q_des is not None else (at_rows(log),)
     made = Data(
         machine=machine,
+        log=log,
         tree=tree_of(machine),
         record=record,
         names=names,
         counts=known & (since >= np.minimum(FORGET, SHARE * length))[:, None],
-        noise=coarse_steps(log.q, spread)[1],
+        noise=noise,
+        encoder_steps=steps,
         block=block,
         fold=np.arange(block[-1] + 1) % FOLDS,
         apart=_apart(record, block),
-        sending=together.sending if log.q_des is not None else (at_rows(log),),
-        _asked=asked,
+        sending=sending,
+        times=sending[0],
     )
-    return made.sent_at(made.sending[0])
+    return made.sent_at(sending[0])
 
 
-def _targets(record: Record, asked: FloatArray, times: SendingTimes, begins: IntArray) -> Record:
-    """Return a record with the targets (T, J) sent at some times; the first of each log was there before."""
-    sent = times.at.copy()
-    first = np.isin(times.rows, begins)
-    sent[first] = record.t[times.rows[first]] - BEFORE
-    return record._replace(sent=sent, goal=np.ascontiguousarray(asked[times.rows]))
+def motors_of(machine: MachineModel) -> dict[str, Any]:
+    """Return what a record holds of the motors of a machine, each (J,)."""
+    d = machine.drives
+    none = np.zeros(len(machine.joints))
+    return {
+        "volts": none if d.volts is None else np.asarray(d.volts, dtype=float),
+        "kt": none + 1.0 if d.kt is None else np.asarray(d.kt, dtype=float),
+        "ohm": none + 1.0 if d.resistance is None else np.asarray(d.resistance, dtype=float),
+        "neighbour": np.asarray(d.neighbour),
+    }
+
+
+def _encoders(log: JointLog) -> tuple[FloatArray, FloatArray]:
+    """Return the steps of coarse encoders (J,), and the noise of readings (J,): the most of others for what rests."""
+    read = valid_samples(log)
+    q = np.where(np.isfinite(log.q), log.q, 0.0)
+    steps, noise = coarse_steps(q[read], noise_floor(q, log.rate, read))
+    moves = (np.ptp(q, axis=0) > 0.0) & (noise > 0.0)
+    return steps, np.where(moves, noise, noise[moves].max(initial=1e-9))
 
 
 def _supply(together: Pool, volts: FloatArray) -> FloatArray:
     """Return the supply in each row over the nominal one (T,)."""
-    share = rows_of(together.parts, [np.array([p.supply]) for p in together.parts])[:, 0]
+    share = np.repeat([p.supply for p in together.parts], [p.rows for p in together.parts])
     given = together.log.extra.get(VOLTAGE)
     if given is None or not (volts > 0).any():
         return np.ascontiguousarray(share)
@@ -175,7 +195,8 @@ def _supply(together: Pool, volts: FloatArray) -> FloatArray:
 
 def _blocks(t: FloatArray, which: IntArray) -> IntArray:
     """Return the block of each row: each log in equal ones, two at least."""
-    block, count = np.zeros(len(t), dtype=int), 0
+    block = np.zeros(len(t), dtype=int)
+    count = 0
     for log in range(which[-1] + 1):
         rows = which == log
         since = t[rows] - t[rows][0]
@@ -197,7 +218,8 @@ def _leads(t: FloatArray, block: IntArray, fresh: BoolArray) -> IntArray:
         )
         if begin < after - 1:
             lead[begin:after] = 2
-            lead[begin], lead[after - 1] = 1, 3
+            lead[begin] = 1
+            lead[after - 1] = 3
     return lead
 
 

@@ -1,1 +1,0 @@
-"""Logged commands through the model, and the numbers that explain the log."""

@@ -1,1 +1,0 @@
-"""Which effects the logs ask for, by one rule."""
