@@ -27,6 +27,9 @@ REPORT = "report.html"
 """Report of a calibration."""
 RESULT = "calibration.json"
 """Its figures."""
+NEXT = "next_motion.parquet"
+"""Targets that tell what was found from the nearest alternative, as a log with what the model predicts."""
+
 EFFECTS = "effects.toml"
 """Its effects, as simulation and training read them."""
 MODEL = "model.xml"
@@ -303,6 +306,7 @@ def save_calibration(result: Calibration, out: Path, model: tuple[Path, MachineM
         The files written.
     """
     from mimic.dynamics.effect_set import write_effects
+    from mimic.io.joint_log import write_log
     from mimic.view.report.html import write_report
 
     out.mkdir(parents=True, exist_ok=True)
@@ -315,7 +319,9 @@ def save_calibration(result: Calibration, out: Path, model: tuple[Path, MachineM
             comment = (result.sentence, f"Made by: {COMMAND.get()}")
             made.append(write_effects(result.effects, part / EFFECTS, comment))
             made += _model_files(*model, result, part) if model is not None else []
-        for name in (EFFECTS, MODEL, ACTUATORS):
+            if result.next_motion is not None and result.next_motion.tells:
+                made.append(write_log(result.next_motion.log, part / NEXT))
+        for name in (EFFECTS, MODEL, ACTUATORS, NEXT):
             if part / name not in made:
                 (out / name).unlink(missing_ok=True)  # of an earlier log
         return [file.replace(out / file.name) for file in made]

@@ -14,7 +14,7 @@ from mimic.flows.play import load_robot, robot_on
 from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import LOG
 from mimic.io import store
-from mimic.records import FloatArray, RunLog
+from mimic.records import JOINTS, FloatArray, RunLog
 
 if TYPE_CHECKING:
     from mimic.commissioning.probe import ProbeResult
@@ -150,6 +150,24 @@ def check_robot(bus_url: str, bus: LookSettings | None = None, *, suspended: boo
         return driver.checks(CheckOptions(rate_hz=1.0 / description.dt, suspended=suspended))
 
 
+def _targets_in(file: Path) -> tuple[FloatArray, FloatArray]:
+    """Return times (T,) [s] and targets (T, 12) [rad] of a run's log, or of a joint log such as next_motion.parquet.
+
+    Raises:
+        AssetError, CalibrationError: If the file cannot be read.
+        ConfigError: If it has no targets.
+    """
+    from mimic.io.joint_log import is_joint_log, read_log
+
+    if not is_joint_log(file):
+        run = store.load(file, RunLog)
+        return run.t, run.q_des
+    log = read_log(file).of(JOINTS)
+    if log.q_des is None:
+        raise ConfigError(f"{file} has no targets; --motion takes a run folder, its log, or a log with q_des.<joint>")
+    return log.t, log.q_des
+
+
 def probe_robot(
     bus_url: str,
     out: Path,
@@ -165,7 +183,7 @@ def probe_robot(
     Args:
         bus_url: Buses of the robot.
         out: Parquet or CSV file to write.
-        motion: Play the targets of this run folder or log.parquet instead.
+        motion: Play the targets of this run folder, its log.parquet, or a calibration's next_motion.parquet instead.
         settings: The motion.
         bus: How the robot is driven.
         operator: Sees the pre-flight check and confirms that the robot may move.
@@ -196,8 +214,7 @@ def probe_robot(
     if motion is None:
         targets = probe_motion(description, settings)
     else:
-        log = store.load(motion / LOG if motion.is_dir() else motion, RunLog)
-        targets = recorded_motion(log.t, log.q_des, description, settings)
+        targets = recorded_motion(*_targets_in(motion / LOG if motion.is_dir() else motion), description, settings)
     seconds = len(targets) / settings.rate_hz
     with robot_session(
         bus_url,

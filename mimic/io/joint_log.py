@@ -111,6 +111,17 @@ class JointLog:
         return JointLog(joints=tuple(joints), t=self.t, metadata=self.metadata, extra=self.extra, **picked)
 
 
+def is_joint_log(path: Path) -> bool:
+    """Return whether a file is a joint log in Parquet, as `write_log` writes it."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        return _KEY in (pq.read_schema(path).metadata or {})
+    except (pa.ArrowException, OSError):
+        return False
+
+
 def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointLog:
     """Read a Parquet or CSV log.
 

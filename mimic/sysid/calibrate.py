@@ -37,6 +37,7 @@ from mimic.sysid.engine.search import (
 from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.noise import MOST
 from mimic.sysid.log.pool import pool
+from mimic.sysid.next_motion import NextMotion, next_motion
 from mimic.sysid.result import (
     Alternative,
     Calibration,
@@ -131,7 +132,8 @@ def calibrate(
     coarse = _coarse(outcome, settings, hunt.most)
     found = _found(outcome, coarse)
     joints = data.machine.joints
-    alternatives = tuple(Alternative(effects=_named(p, joints), behind=by) for p, by in outcome.ties)
+    alternatives = tuple(Alternative(effects=_named(tied.effects, joints), behind=by) for tied, by in outcome.ties)
+    further = _next_motion(outcome, logs) if matches else None
     nominal = spread(start.evaluated())
     errors = {one: _errors(one, outcome) for one in ("before", "after")}
     motion = motion_of(outcome.best.model)
@@ -162,7 +164,8 @@ def calibrate(
         unexplained=rest,
         sentence=sentence(found, alternatives, rest, said, joints, hunt.most > 0) if matches else no_match(why),
         log_matches_model=matches,
-        experiments=next_logs(found, alternatives, rest) if matches else (),
+        experiments=next_logs(found, alternatives, rest, further) if matches else (),
+        next_motion=further,
         warnings=_warnings(outcome.best.model),
         correlations=_correlations(outcome.best.model),
         traces=_traces(outcome, motion.speed, motion.torque),
@@ -250,6 +253,15 @@ def _named(parts: Parts, joints: Sequence[str]) -> tuple[tuple[str, tuple[str, .
     for name, own in parts:
         named.append((name, tuple(joints[j] for j in own if j >= 0)))
     return tuple(named)
+
+
+def _next_motion(outcome: Outcome, logs: Sequence[JointLog]) -> NextMotion | None:
+    """Return the motion that tells what was found from the explanation that is nearest to it, if there is one."""
+    if not outcome.ties or any(log.q_des is None for log in logs):
+        return None
+    model = outcome.best.model
+    rival = min(outcome.ties, key=lambda tie: tie[1])[0]
+    return next_motion(model.data.machine, logs, outcome.noise, effects_of(model), effects_of(rival))
 
 
 def _stages(hunt: Hunt, joints: Sequence[str]) -> tuple[Stage, ...]:

@@ -23,6 +23,9 @@ from mimic.sysid.predict import simulate_log
 SECONDS = 20.0
 """Length of the motion [s]."""
 
+LEAST = 1.0
+"""Less far apart two explanations are not told from each other [noise floors]."""
+
 SIZES = (0.3, 1.0)
 """Shares of the joints' ranges that are tried."""
 
@@ -44,6 +47,11 @@ class NextMotion:
     """That joint."""
     log: JointLog
     """Targets (T, J) [rad or m], and in q what the first explanation predicts."""
+
+    @property
+    def tells(self) -> bool:
+        """Whether the two can be told apart by it."""
+        return self.apart >= LEAST
 
 
 def next_motion(

@@ -194,6 +194,8 @@ class Calibration(ShownAsTable):
     """False where log and model do not belong together; nothing is then named."""
     experiments: tuple[str, ...] = ()
     """What to log next to tell apart what this log cannot."""
+    next_motion: Any = None
+    """`mimic.sysid.next_motion.NextMotion` that tells what was found from the nearest alternative; None without one."""
     warnings: tuple[str, ...] = ()
     correlations: Correlations | None = None
     """Of the numbers that were fitted."""
@@ -215,7 +217,7 @@ class Calibration(ShownAsTable):
     def to_json(self) -> dict[str, Any]:
         """Return everything but the traces as plain data; the keys are described in docs/manual/calibration.md."""
         ends = {name: self._errors(getattr(self, name)) for name in ("nominal", "baseline", "final")}
-        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in (*ends, "traces")}
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in (*ends, "traces", "next_motion")}
         own |= {
             "noise": dict(zip(self.joints, self.noise, strict=True)),
             "errors": ends,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mimic.dynamics.catalogue import CATALOGUE
+from mimic.sysid.next_motion import NextMotion
 from mimic.sysid.result import Alternative, Errors, Found, UnexplainedResidual
 
 NEXT = {
@@ -89,10 +90,22 @@ def left(rest: Sequence[UnexplainedResidual]) -> str:
 
 
 def next_logs(
-    found: Sequence[Found], alternatives: Sequence[Alternative], rest: Sequence[UnexplainedResidual]
+    found: Sequence[Found],
+    alternatives: Sequence[Alternative],
+    rest: Sequence[UnexplainedResidual],
+    motion: NextMotion | None,
 ) -> tuple[str, ...]:
-    """Return what to log to tell alternatives apart, and to explain what stays unexplained."""
+    """Return what to log to tell alternatives apart, with the motion that does it, and to explain what is left."""
     lines = []
+    if motion is not None:
+        where = f"{motion.apart:.1f} noise floors apart, in {motion.joint}"
+        if motion.tells:
+            lines.append(
+                f"next_motion.parquet ({motion.kind}, {motion.size:.0%} of the ranges): under it what was found and "
+                f"the nearest alternative are {where}"
+            )
+        else:
+            lines.append(f"no motion in these ranges tells what was found from the nearest alternative: {where}")
     names = {one.name for one in found} if alternatives else set()
     for one in alternatives:
         names |= {name for name, _ in one.effects}

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from mimic.errors import CalibrationError
-from mimic.io.joint_log import JointLog, read_log, write_log
+from mimic.io.joint_log import JointLog, is_joint_log, read_log, write_log
 
 NAN = float("nan")
 
@@ -227,3 +227,9 @@ def test_the_snippet_of_the_documentation_writes_a_log(tmp_path: Path, monkeypat
     log = read_log("log.parquet")
     assert log.joints == ("hip", "knee")
     assert log.metadata["kp"] == 20.0
+
+
+def test_a_joint_log_is_known_by_its_file(log: JointLog, tmp_path: Path) -> None:
+    assert is_joint_log(write_log(log, tmp_path / "log.parquet"))
+    assert not is_joint_log(write_log(log, tmp_path / "log.csv"))
+    assert not is_joint_log(tmp_path / "none.parquet")

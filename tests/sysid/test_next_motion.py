@@ -10,6 +10,7 @@ from mimic.errors import ConfigError
 from mimic.io.joint_log import JointLog
 from mimic.sysid.next_motion import next_motion
 from mimic.sysid.predict import simulate_log
+from mimic.sysid.sentences import next_logs
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
 <inertial pos="0 0 -0.15" mass="0.8" diaginertia="0.006 0.006 0.0002"/></body></worldbody></mujoco>"""
@@ -61,3 +62,14 @@ def test_equal_explanations_are_not_told_apart(pendulum):
 def test_a_joint_that_was_not_moved_is_refused(pendulum):
     with pytest.raises(ConfigError, match="centre"):
         next_motion(pendulum, [logged(pendulum, 0.0)], np.array([3e-4]), EffectSet(), EffectSet())
+
+
+def test_what_to_log_next_names_the_file_or_says_that_no_motion_tells(pendulum):
+    log = logged(pendulum, 0.5)
+    spring = having("spring", stiffness=2.0)
+    told = next_motion(pendulum, [log], np.array([3e-4]), spring, EffectSet())
+    same = next_motion(pendulum, [log], np.array([3e-4]), spring, spring)
+    assert next_logs((), (), (), told)[0].startswith("next_motion.parquet (")
+    assert next_logs((), (), (), same) == (
+        "no motion in these ranges tells what was found from the nearest alternative: 0.0 noise floors apart, in hinge",
+    )

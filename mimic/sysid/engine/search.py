@@ -138,7 +138,7 @@ class Outcome:
     best: Scored
     parts: tuple[Part, ...]
     """Its effects."""
-    ties: tuple[tuple[Parts, float], ...]
+    ties: tuple[tuple[Model, float], ...]
     """Other explanations that the logs do not tell from it, and by how much they are worse [nats]."""
     before: FloatArray
     """Errors of the baseline, each fold fitted without it (T, J)."""
@@ -275,7 +275,7 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
     best = _confirmed(best, null, hunt)
     rivals = [*others, *dropped] if best is seen else []
     best = scored(best.model.settled(4))
-    ties = {one.model.effects: best.apart(one) for one in rivals}
+    ties = {one.model.effects: (one.model, best.apart(one)) for one in rivals}
     before = null.model.left_out()
     after = best.model.left_out()
     noise = noise_of(best.model)
@@ -284,7 +284,7 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
         null=null,
         best=best,
         parts=tuple(_part(best, null, dropped, *one) for one in best.model.effects),
-        ties=tuple((parts, by) for parts, by in ties.items() if by < TIED and parts != best.model.effects),
+        ties=tuple((tied, by) for tied, by in ties.values() if by < TIED and tied.effects != best.model.effects),
         before=before,
         after=after,
         noise=noise,
