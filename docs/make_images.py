@@ -19,8 +19,8 @@ from mimic.control.loop import run_policy
 from mimic.control.real_time import PacedPlant
 from mimic.dynamics.effect_set import EffectSet, read_effects
 from mimic.dynamics.machine import hung_robot
-from mimic.flows.camera import follow_camera
-from mimic.flows.motion import InputSettings
+from mimic.flows.motions.camera import follow_camera
+from mimic.flows.motions.motion import InputSettings
 from mimic.io import store
 from mimic.io.joint_log import read_log
 from mimic.metrics import toe_error

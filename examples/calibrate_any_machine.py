@@ -12,7 +12,7 @@ from pathlib import Path
 
 import mimic
 from mimic.config.sysid import CalibrateSettings, LogSettings
-from mimic.flows.machine_log import LogMotion
+from mimic.flows.logs.machine_log import LogMotion
 
 PENDULUM = """
 <mujoco model="pendulum">

@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from mimic.dynamics.effect_set import EffectSet as EffectSet
     from mimic.dynamics.effect_set import read_effects as read_effects
     from mimic.errors import MimicError as MimicError
-    from mimic.flows.calibrate import calibrate as calibrate
     from mimic.flows.environment import Env as Env
     from mimic.flows.evaluate import evaluate as evaluate
-    from mimic.flows.machine_log import predict_log as predict_log
-    from mimic.flows.machine_log import simulate_log as simulate_log
-    from mimic.flows.motion import InputSettings as InputSettings
-    from mimic.flows.motion import Motion as Motion
-    from mimic.flows.motion import load_motion as load_motion
-    from mimic.flows.motion import motion_from_text as motion_from_text
-    from mimic.flows.motion import retarget as retarget
-    from mimic.flows.motion import track_video as track_video
+    from mimic.flows.logs.calibrate import calibrate as calibrate
+    from mimic.flows.logs.machine_log import predict_log as predict_log
+    from mimic.flows.logs.machine_log import simulate_log as simulate_log
+    from mimic.flows.motions.motion import InputSettings as InputSettings
+    from mimic.flows.motions.motion import Motion as Motion
+    from mimic.flows.motions.motion import load_motion as load_motion
+    from mimic.flows.motions.motion import motion_from_text as motion_from_text
+    from mimic.flows.motions.motion import retarget as retarget
+    from mimic.flows.motions.motion import track_video as track_video
     from mimic.flows.play import load_policy as load_policy
     from mimic.flows.play import load_robot as load_robot
     from mimic.flows.play import load_run as load_run
@@ -79,11 +79,11 @@ _OWNERS = {
     ),
     "mimic.dynamics.effect_set": ("EffectSet", "read_effects"),
     "mimic.errors": ("MimicError",),
-    "mimic.flows.calibrate": ("calibrate",),
+    "mimic.flows.logs.calibrate": ("calibrate",),
     "mimic.flows.environment": ("Env",),
-    "mimic.flows.machine_log": ("predict_log", "simulate_log"),
+    "mimic.flows.logs.machine_log": ("predict_log", "simulate_log"),
     "mimic.flows.evaluate": ("evaluate",),
-    "mimic.flows.motion": (
+    "mimic.flows.motions.motion": (
         "InputSettings",
         "Motion",
         "load_motion",

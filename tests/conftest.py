@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimic.control.loop import RunResult, run_policy
-from mimic.control.safety_limits import limits_for
-from mimic.control.supervisor import Supervisor
+from mimic.control.safety.safety_limits import limits_for
+from mimic.control.safety.supervisor import Supervisor
 from mimic.control.tick import Safety
 from mimic.policy.contract import METADATA_KEY, NETWORK, PolicyContract
 from mimic.policy.runtime import load_policy

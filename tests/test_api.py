@@ -28,8 +28,8 @@ def test_the_library_runs_without_the_libraries_of_the_command_line():
     code = (
         "import sys, mimic\n"
         "for name in mimic.__all__: getattr(mimic, name)\n"
-        "import mimic.flows.robot_run, mimic.flows.commissioning, mimic.flows.batch, "
-        "mimic.flows.emulate, mimic.flows.camera\n"
+        "import mimic.flows.robot.robot_run, mimic.flows.robot.commissioning, mimic.flows.batch, "
+        "mimic.flows.robot.emulate, mimic.flows.motions.camera\n"
         "print([m for m in ('rich', 'cyclopts') if m in sys.modules])"
     )
     told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout

@@ -21,9 +21,9 @@ from lab.faults.processes import HELPER, Process, helper_of, incomplete, lines_i
 from lab.faults.proxies import LcmProxy, TcpProxy, wiring_through
 from mimic.config.emulator import EmulateSettings
 from mimic.control.priority import EMULATOR, real_time
-from mimic.emulator.board import EmulatedBoard
-from mimic.emulator.board_server import BoardServer
-from mimic.emulator.go2 import EmulatedGo2
+from mimic.emulator.boards.board import EmulatedBoard
+from mimic.emulator.boards.board_server import BoardServer
+from mimic.emulator.boards.go2 import EmulatedGo2
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
 from mimic.hardware.can.wiring import load_wiring

@@ -19,8 +19,8 @@ from lab.faults.trouble import CASES, cases, stood
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
 from mimic.control.recorder import RunRecorder, salvage
+from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.signals import Signals
-from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
 from mimic.emulator.faults import MISWIRED, EmulatedFault, random_fault
 from mimic.errors import MimicError

@@ -10,10 +10,10 @@ import numpy as np
 
 from lab.faults.trouble import Trouble, halt
 from mimic.config.emulator import EmulateSettings
-from mimic.emulator.board import EmulatedBoard
-from mimic.emulator.board_bus import EmulatedBoardBus
+from mimic.emulator.boards.board import EmulatedBoard
+from mimic.emulator.boards.board_bus import EmulatedBoardBus
+from mimic.emulator.boards.go2 import EmulatedGo2, EmulatedGo2Bus
 from mimic.emulator.faults import EmulatedFault
-from mimic.emulator.go2 import EmulatedGo2, EmulatedGo2Bus
 from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.hardware.go2.driver import GONE_ON, OWN_MODE, RESTED, Go2Driver
 from mimic.hardware.go2.driver import UNREACHED as GO2_UNREACHED

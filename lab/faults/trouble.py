@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mimic.control.recorder import salvage
-from mimic.emulator.board import FAULTS as BOARD_FAULTS
+from mimic.emulator.boards.board import FAULTS as BOARD_FAULTS
+from mimic.emulator.boards.go2 import FAULTS as GO2_FAULTS
 from mimic.emulator.faults import CAN_KINDS, KINDS
-from mimic.emulator.go2 import FAULTS as GO2_FAULTS
 from mimic.errors import MimicError
 from mimic.io import store
 from mimic.metrics import standing

@@ -23,7 +23,7 @@ import numpy as np
 
 from mimic.config.pose import PoseSettings
 from mimic.config.retarget import RetargetSettings
-from mimic.flows.motion import track_video
+from mimic.flows.motions.motion import track_video
 from mimic.records import LANDMARKS, SHOULDERS, WRISTS, PoseTrack
 from mimic.retargeting.targets import target_track
 from mimic.retargeting.wrists import torso_heading, wrist_track

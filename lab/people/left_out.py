@@ -20,7 +20,7 @@ import numpy as np
 
 from lab.people.depth import depth_errors, estimated, rms_of_fifths, targets_apart, true_track
 from mimic.config.pose import PoseSettings
-from mimic.flows.motion import track_video
+from mimic.flows.motions.motion import track_video
 from mimic.records import PoseTrack
 from mimic.retargeting.wrists import torso_heading
 from mimic.robot.description import load_description

@@ -32,7 +32,7 @@ from lab.policies.studies.settings import (
     TableSettings,
 )
 from lab.policies.studies.stand_up import evaluate_stand_up
-from mimic.cli.console import ConsoleReporter
+from mimic.cli.terminal.console import ConsoleReporter
 from mimic.config.evaluation import EpisodeSettings
 from mimic.config.play import EffectsSettings
 from mimic.errors import MimicError

@@ -19,7 +19,7 @@ from lab.policies.studies.senses import SENSES, SensingPolicy
 from mimic.config.play import NO_DISTURBANCE, NOMINAL, Disturbance, Randomisation, RunSettings
 from mimic.control.loop import RunResult, run_policy
 from mimic.evaluation.episode import OF_EPISODES
-from mimic.flows.motion import InputSettings, load_motion
+from mimic.flows.motions.motion import InputSettings, load_motion
 from mimic.geometry import heading_from_quat
 from mimic.metrics import run_metrics
 from mimic.policy.runtime import Policy, load_policy

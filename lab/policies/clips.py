@@ -10,11 +10,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mimic.cli.console import ConsoleReporter
+from mimic.cli.terminal.console import ConsoleReporter
 from mimic.config.play import RunSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.control.loop import run_policy
-from mimic.flows.motion import InputSettings, load_motion
+from mimic.flows.motions.motion import InputSettings, load_motion
 from mimic.metrics import run_metrics
 from mimic.policy.runtime import load_policy
 from mimic.retargeting.commands import command_track

@@ -19,9 +19,9 @@ import numpy as np
 from mimic.config.play import RunSettings
 from mimic.config.pose import LiveSettings
 from mimic.config.retarget import RetargetSettings
-from mimic.flows.camera import play_camera
-from mimic.flows.camera_record import LIVE
-from mimic.flows.motion import InputSettings, load_motion
+from mimic.flows.motions.camera import play_camera
+from mimic.flows.motions.camera_record import LIVE
+from mimic.flows.motions.motion import InputSettings, load_motion
 from mimic.flows.run_folder import COMMANDS, METRICS
 from mimic.io import store
 from mimic.records import CommandTrack, LiveTrack

@@ -17,7 +17,7 @@ import numpy as np
 from lab.people.depth import true_track
 from mimic.config.pose import LiveSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
-from mimic.flows.motion import track_video
+from mimic.flows.motions.motion import track_video
 from mimic.flows.play import play
 from mimic.records import PHASES, Command
 from mimic.retargeting.live import LiveRetarget, LiveTarget, LiveTargets

@@ -29,7 +29,7 @@ import numpy as np
 
 from lab.unitree_mujoco.bridge import STEP, LockstepBus, NotHere, load, model_of
 from mimic.config.play import RunSettings
-from mimic.control.supervisor import Supervisor
+from mimic.control.safety.supervisor import Supervisor
 from mimic.control.tick import Safety
 from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import AssetError, MimicError

@@ -6,7 +6,7 @@ import io
 import sys
 from pathlib import Path
 
-from mimic.cli.exit_status import DONE, STOPPED
+from mimic.cli.terminal.exit_status import DONE, STOPPED
 
 HELP = Path(__file__).with_name("help.txt")
 """The help of the bare command, drawn before: the parser takes half a second to draw it. Written by
@@ -14,7 +14,7 @@ HELP = Path(__file__).with_name("help.txt")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the ``mimic`` command and return its exit status (see mimic.cli.exit_status)."""
+    """Run the ``mimic`` command and return its exit status (see mimic.cli.terminal.exit_status)."""
     for stream in (sys.stdout, sys.stderr):  # what a terminal cannot show becomes a question mark
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")

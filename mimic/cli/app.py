@@ -13,7 +13,7 @@ from typing import Any
 from cyclopts import App, Parameter
 from cyclopts.exceptions import CycloptsError, UnknownOptionError
 
-from mimic.cli.exit_status import DONE, STOPPED, USER_ERROR
+from mimic.cli.terminal.exit_status import DONE, STOPPED, USER_ERROR
 from mimic.errors import ConfigError, MimicError
 from mimic.version import __version__
 

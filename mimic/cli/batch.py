@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from mimic.cli import options as o
-from mimic.cli.console import ConsoleReporter, table, warn
-from mimic.cli.exit_status import DONE, PARTLY_FAILED, STOPPED, USER_ERROR
+from mimic.cli.terminal.console import ConsoleReporter, table, warn
+from mimic.cli.terminal.exit_status import DONE, PARTLY_FAILED, STOPPED, USER_ERROR
 
 if TYPE_CHECKING:
     from mimic.flows.batch import Batch

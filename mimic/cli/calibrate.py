@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mimic.cli import options as o
-from mimic.cli.console import ConsoleReporter, console, matrix, note, table, warn
-from mimic.cli.exit_status import DONE, USER_ERROR
+from mimic.cli.terminal.console import ConsoleReporter, console, matrix, note, table, warn
+from mimic.cli.terminal.exit_status import DONE, USER_ERROR
 from mimic.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -45,8 +45,8 @@ def calibrate(
         Folder for report.html, calibration.json, effects.toml, model.xml and actuators.json; default:
         calibration/NAME.
     """
-    from mimic.flows.calibrate import ACTUATORS, EFFECTS, MODEL, REPORT, RESULT
-    from mimic.flows.calibrate import calibrate as explain
+    from mimic.flows.logs.calibrate import ACTUATORS, EFFECTS, MODEL, REPORT, RESULT
+    from mimic.flows.logs.calibrate import calibrate as explain
 
     if compare is not None:
         if held_out or out is not None:
@@ -63,7 +63,7 @@ def _compare(
     logs: Sequence[Path], other: Path, model: Path | None, settings: o.Calibrate, notes: tuple[str, ...]
 ) -> int:
     """Print how two units differ."""
-    from mimic.flows.compare_units import compare
+    from mimic.flows.logs.compare_units import compare
     from mimic.view.report.svg import number
 
     if len(logs) != 1:

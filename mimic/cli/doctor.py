@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mimic.cli.console import table
-from mimic.cli.exit_status import DONE, USER_ERROR
+from mimic.cli.terminal.console import table
+from mimic.cli.terminal.exit_status import DONE, USER_ERROR
 from mimic.flows.doctor import examine
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mimic.cli import options as o
-from mimic.cli.exit_status import DONE
+from mimic.cli.terminal.exit_status import DONE
 
 
 def emulate(
@@ -51,8 +51,8 @@ def emulate(
     view
         Watch it in MuJoCo's viewer.
     """
-    from mimic.cli.console import ConsoleReporter, table
-    from mimic.flows.emulate import ServeOptions, serve_robot
+    from mimic.cli.terminal.console import ConsoleReporter, table
+    from mimic.flows.robot.emulate import ServeOptions, serve_robot
 
     serve = ServeOptions(
         listen=listen,

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from mimic.cli import options as o
-from mimic.cli.console import ConsoleReporter, table
-from mimic.cli.exit_status import DONE
+from mimic.cli.terminal.console import ConsoleReporter, table
+from mimic.cli.terminal.exit_status import DONE
 from mimic.config.evaluation import EvaluateSettings, SitDownEvaluateSettings
 
 

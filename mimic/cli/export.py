@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from mimic.cli import options as o
-from mimic.cli.exit_status import DONE
+from mimic.cli.terminal.exit_status import DONE
 
 
 def export(
@@ -34,7 +34,7 @@ def export(
     video
         Add a film of the robot, one frame for each row (lerobot).
     """
-    from mimic.cli.console import ConsoleReporter, table
+    from mimic.cli.terminal.console import ConsoleReporter, table
     from mimic.flows.export import export as write
 
     count = write(run, out, form, video=video, reporter=ConsoleReporter())

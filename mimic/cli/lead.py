@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from mimic.cli import options as o
-from mimic.cli.exit_status import DONE, STOPPED
+from mimic.cli.terminal.exit_status import DONE, STOPPED
 from mimic.config.leading import HandSettings, LeadingSettings
 
 
@@ -35,9 +35,9 @@ def lead(
     seed
         Seed of the initial state.
     """
-    from mimic.cli.console import ConsoleReporter, note, table
+    from mimic.cli.terminal.console import ConsoleReporter, note, table
     from mimic.config.play import AS_DESCRIBED
-    from mimic.flows.lead import lead as run
+    from mimic.flows.robot.lead import lead as run
 
     hand = hand or HandSettings()
     if interactive:

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from mimic.cli import options as o
-from mimic.cli.console import ConsoleReporter, note, warn
-from mimic.cli.exit_status import DONE
+from mimic.cli.terminal.console import ConsoleReporter, note, warn
+from mimic.cli.terminal.exit_status import DONE
 
 
 def simulate(
@@ -46,7 +46,7 @@ def simulate(
     kd
         Velocity gain of the drives [N m s/rad]; default: the model's.
     """
-    from mimic.flows.machine_log import LogMotion, simulate_log
+    from mimic.flows.logs.machine_log import LogMotion, simulate_log
 
     moved = LogMotion(kind=motion, seconds=seconds, amplitude=amplitude, kp=kp, kd=kd)
     log = simulate_log(effects, model, moved, settings, out=out, reporter=ConsoleReporter())
@@ -79,7 +79,7 @@ def replay(
         JSON file for the errors.
     """
     from mimic.cli.calibrate import show_errors
-    from mimic.flows.machine_log import NO_EFFECTS, predict_log
+    from mimic.flows.logs.machine_log import NO_EFFECTS, predict_log
     from mimic.view.report.plots import unit_of_size
 
     found = predict_log(log, effects, model, whole=whole, out=out, reporter=ConsoleReporter())
@@ -107,7 +107,7 @@ def salvage(run: Path, /) -> int:
     run
         Folder of the run.
     """
-    from mimic.flows.robot_run import salvage as recover
+    from mimic.flows.robot.robot_run import salvage as recover
 
     path, ticks = recover(run)
     note(f"salvaged     {ticks} ticks into {path}")

@@ -22,7 +22,7 @@ from mimic.config.retarget import RetargetSettings
 from mimic.config.sysid import CalibrateSettings, LogSettings
 
 if TYPE_CHECKING:
-    from mimic.flows.motion import InputSettings
+    from mimic.flows.motions.motion import InputSettings
 
 OUTPUT = Group("Output", sort_key=1)
 
@@ -38,7 +38,7 @@ def only(group: str, *shown: str) -> Parameter:
 
 def input_settings(**parts: Any) -> InputSettings:
     """Return the settings of an input; parts that were not given (None) keep their defaults."""
-    from mimic.flows.motion import InputSettings
+    from mimic.flows.motions.motion import InputSettings
 
     return InputSettings(**{name: part for name, part in parts.items() if part is not None})
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from mimic.cli import options as o
-from mimic.cli.exit_status import DONE
+from mimic.cli.terminal.exit_status import DONE
 from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ConfigError
 
 if TYPE_CHECKING:
-    from mimic.flows.motion import InputSettings
+    from mimic.flows.motions.motion import InputSettings
 
 
 def play(
@@ -94,8 +94,8 @@ def play(
         return _play_camera(camera, settings, live=live, run=run, model=model, out=out, view=view)
     if source is None and text is None:
         raise ConfigError("say what to play: a file, --text with a sentence, or --camera 0")
-    from mimic.cli.console import ConsoleReporter
-    from mimic.cli.rows import show_simulated
+    from mimic.cli.terminal.console import ConsoleReporter
+    from mimic.cli.terminal.rows import show_simulated
     from mimic.flows.play import play_source
 
     played: Path | str = source if text is None else text  # type: ignore[assignment]
@@ -121,8 +121,8 @@ def _check_robot(sim: bool, robot: str | None, bus: o.Bus, model: o.Effects) -> 
 
 def _show_plan(sentence: str | None, settings: InputSettings, model: o.Effects) -> int:
     """Print how a sentence is understood."""
-    from mimic.cli.console import ConsoleReporter
-    from mimic.flows.motion import motion_from_text
+    from mimic.cli.terminal.console import ConsoleReporter
+    from mimic.flows.motions.motion import motion_from_text
     from mimic.flows.play import load_robot
 
     if sentence is None:
@@ -158,9 +158,9 @@ def _play_camera(
     out: Path | None,
     view: bool | None,
 ) -> int:
-    from mimic.cli.console import ConsoleReporter, warn
-    from mimic.cli.rows import show_simulated
-    from mimic.flows.camera import play_camera
+    from mimic.cli.terminal.console import ConsoleReporter, warn
+    from mimic.cli.terminal.rows import show_simulated
+    from mimic.flows.motions.camera import play_camera
     from mimic.view.scene.viewer import display_available
 
     window = bool(view or (view is None and display_available()))
@@ -222,8 +222,8 @@ def retarget(
     robot_model
         cyberdog2, go2, or the folder of another robot with its robot.toml and MJCF; targets stay in its workspace.
     """
-    from mimic.cli.console import ConsoleReporter, table
-    from mimic.cli.rows import target_rows
+    from mimic.cli.terminal.console import ConsoleReporter, table
+    from mimic.cli.terminal.rows import target_rows
     from mimic.flows.play import load_robot, save_targets
 
     settings = o.input_settings(pose=pose, stored=stored, retarget=retarget)
@@ -251,7 +251,7 @@ def view(run: Path, /, *, web: Annotated[bool, o.Flag] = False) -> int:
     if not web and display_available():
         open_viewer(scene)
         return DONE
-    from mimic.cli.console import note
+    from mimic.cli.terminal.console import note
 
     note("open this in a browser on this computer; Ctrl-C ends the server:")
     with suppress(KeyboardInterrupt):

@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from mimic.cli import options as o
-from mimic.cli.console import ConsoleReporter, console, matrix, note, table, warn
-from mimic.cli.exit_status import BUG, DONE, STOPPED, USER_ERROR
+from mimic.cli.terminal.console import ConsoleReporter, console, matrix, note, table, warn
+from mimic.cli.terminal.exit_status import BUG, DONE, STOPPED, USER_ERROR
 from mimic.config.hardware import DriveSettings
-from mimic.flows.operator import Operator
+from mimic.flows.robot.operator import Operator
 from mimic.records.table import number
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from mimic.control.supervisor import Event
-    from mimic.flows.motion import InputSettings
-    from mimic.flows.robot_run import RobotRun
+    from mimic.control.safety.supervisor import Event
+    from mimic.flows.motions.motion import InputSettings
+    from mimic.flows.robot.robot_run import RobotRun
     from mimic.flows.watching import Watched
     from mimic.hardware.robot.checks import Check
 
@@ -72,8 +72,8 @@ def play_on_robot(
     view: bool | None,
 ) -> int:
     """Play on a real robot, print the figures, and return the exit status."""
-    from mimic.cli.rows import open_scene, show_figures
-    from mimic.flows.robot_run import play_on_robot as play
+    from mimic.cli.terminal.rows import open_scene, show_figures
+    from mimic.flows.robot.robot_run import play_on_robot as play
 
     done = play(
         bus_url,
@@ -150,7 +150,7 @@ def scan(bus_url: str, /, *, bus: o.WiringFile = None) -> int:
     bus_url
         Buses, such as can0; see mimic --help.
     """
-    from mimic.flows.commissioning import scan_robot
+    from mimic.flows.robot.commissioning import scan_robot
     from mimic.records import JOINTS
 
     seen, wiring, problems = scan_robot(bus_url, bus)
@@ -193,7 +193,7 @@ def zero(
     yes
         Start without waiting for Enter; for rehearsals.
     """
-    from mimic.flows.commissioning import zero_robot
+    from mimic.flows.robot.commissioning import zero_robot
     from mimic.records import JOINTS
 
     note(
@@ -227,7 +227,7 @@ def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.Wi
     out
         Wiring file to write; give it to the other commands with --wiring.
     """
-    from mimic.flows.wiring import wire_robot
+    from mimic.flows.robot.wiring import wire_robot
 
     done = wire_robot(bus_url, out, bus, say=note)
     for text in done.differences:
@@ -246,7 +246,7 @@ def damp(bus_url: str, /, *, bus: Annotated[o.Look, o.only("bus", "wiring", "int
     bus_url
         Buses, such as can0, or go2; see mimic --help. A stock CyberDog 2 damps itself.
     """
-    from mimic.flows.commissioning import damp_robot
+    from mimic.flows.robot.commissioning import damp_robot
 
     off, ending = damp_robot(bus_url, bus)
     if not off:
@@ -266,7 +266,7 @@ def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o
     suspended
         The robot is suspended, not lying.
     """
-    from mimic.flows.commissioning import check_robot
+    from mimic.flows.robot.commissioning import check_robot
 
     findings = check_robot(bus_url, bus, suspended=suspended)
     _show_findings(findings)
@@ -366,7 +366,7 @@ def probe(
     motion
         Play the targets of this run folder or log.parquet, scaled into the collision-free joint ranges.
     """
-    from mimic.flows.commissioning import probe_robot
+    from mimic.flows.robot.commissioning import probe_robot
 
     result, path, ending = probe_robot(
         bus_url, out, motion=motion, settings=probe, bus=bus, operator=_operator(bus), reporter=ConsoleReporter()

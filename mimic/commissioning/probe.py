@@ -20,11 +20,11 @@ import numpy as np
 
 from mimic.commissioning.probe_motion import ProbeMotion, turns
 from mimic.config.hardware import ProbeSettings
-from mimic.control.safety_limits import limits_for
-from mimic.control.safety_rules import FAILURE, SUSPENDED_RULES
+from mimic.control.safety.safety_limits import limits_for
+from mimic.control.safety.safety_rules import FAILURE, SUSPENDED_RULES
+from mimic.control.safety.step_history import StepReport
+from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.signals import Signals
-from mimic.control.step_history import StepReport
-from mimic.control.supervisor import Event, SafetyMode, Supervisor
 from mimic.errors import PlantError
 from mimic.geometry import smoothstep
 from mimic.hardware.can.load import expected_load

@@ -16,9 +16,9 @@ import numpy as np
 from mimic.config.play import RunSettings
 from mimic.control.desired import DesiredMotion, LiveMotion, StoredMotion
 from mimic.control.plant import Plant, damping_command
-from mimic.control.safety_rules import FAILURE
+from mimic.control.safety.safety_rules import FAILURE
+from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.start import start
-from mimic.control.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.tick import Run, Safety, Sink, observation_width
 from mimic.errors import ContractError, PlantError, SenderError
 from mimic.geometry import heading_from_quat
@@ -75,8 +75,8 @@ def run_policy(
     A track must have the plant's control step; live commands go on until they end. The supervisor decides after every
     tick whether the robot runs on, sits down, is damped, or is stopped. The plant is closed whatever happens.
 
-    Without ``safety`` the run is supervised by the rules of `mimic.control.safety_rules`, its joints are not tested,
-    and it is over with its last tick. The first Ctrl-C then makes the robot sit down, a second one damps it.
+    Without ``safety`` the run is supervised by the rules of `mimic.control.safety.safety_rules`, its joints are not
+    tested, and it is over with its last tick. The first Ctrl-C then makes the robot sit down, a second one damps it.
 
     Args:
         plant: A robot, simulated or real.

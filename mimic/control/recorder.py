@@ -22,7 +22,7 @@ import numpy as np
 
 from mimic.control.priority import RECORDER, real_time
 from mimic.control.row_file import RowFile, read_rows
-from mimic.control.supervisor import Event
+from mimic.control.safety.supervisor import Event
 from mimic.io.store import plain
 from mimic.records import AXES, Health, HealthLog, Record, RunLog
 

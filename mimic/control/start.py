@@ -8,7 +8,7 @@ import numpy as np
 
 from mimic.config.play import TRIM
 from mimic.control.joint_test import MOVE_TICKS, REST_TICKS, JointTest
-from mimic.control.supervisor import SafetyMode
+from mimic.control.safety.supervisor import SafetyMode
 from mimic.control.tick import Run
 from mimic.geometry import rotation_from_quat, smoothstep
 from mimic.records import JOINTS, PHASES, FloatArray, JointCommand, RobotState

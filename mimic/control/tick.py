@@ -14,10 +14,10 @@ from mimic.control.arms import ArmGoal
 from mimic.control.dropouts import DropoutFilter
 from mimic.control.plant import Plant
 from mimic.control.recorder import RunRecorder, health_row
-from mimic.control.safety_rules import FAILURE
+from mimic.control.safety.safety_rules import FAILURE
+from mimic.control.safety.step_history import StepReport
+from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.signals import Signals
-from mimic.control.step_history import StepReport
-from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.geometry import turned_about_up
 from mimic.policy.contract import FRONT, ObservationBuilder, PolicyContract, joint_command
 from mimic.policy.runtime import Policy

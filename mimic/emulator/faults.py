@@ -100,7 +100,7 @@ MISWIRED = ("sign_wrong", "motors_swapped", "legs_swapped")
 """Kinds that are there from power-up on, whenever they are said to begin."""
 
 BOARD_ONLY = ("frames_reordered", "mode_refused", "mode_returns", "service_silent")
-"""Kinds that only boards have; what else they have is in `mimic.emulator.board` and `mimic.emulator.go2`."""
+"""Kinds that only boards have; what else they have is in `mimic.emulator.boards`."""
 
 CAN_KINDS = tuple(kind for kind in KINDS if kind not in BOARD_ONLY)
 """Kinds that the robot on CAN has."""

@@ -21,10 +21,10 @@ from mimic.config.play import (
 )
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
-from mimic.control.safety_limits import Limits
-from mimic.control.safety_rules import FALLEN, TIPPING, Alert, Rule
-from mimic.control.step_history import StepHistory, StepReport
-from mimic.control.supervisor import Supervisor
+from mimic.control.safety.safety_limits import Limits
+from mimic.control.safety.safety_rules import FALLEN, TIPPING, Alert, Rule
+from mimic.control.safety.step_history import StepHistory, StepReport
+from mimic.control.safety.supervisor import Supervisor
 from mimic.control.tick import Safety
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import Policy, cached_policy

@@ -17,8 +17,8 @@ import pinocchio as pin
 from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
-from mimic.control.safety_rules import FALLEN
-from mimic.control.supervisor import Supervisor
+from mimic.control.safety.safety_rules import FALLEN
+from mimic.control.safety.supervisor import Supervisor
 from mimic.evaluation.episode import TIMING, of_episode, without_start
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull

@@ -17,7 +17,7 @@ from typing import Any
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.text_file import from_json
 from mimic.errors import ConfigError, MimicError, SourceError
-from mimic.flows.motion import InputSettings, load_motion, playable, refuse_second_video
+from mimic.flows.motions.motion import InputSettings, load_motion, playable, refuse_second_video
 from mimic.flows.play import load_robot, play, settings_of, shipped_sit_down
 from mimic.flows.provenance import COMMAND, provenance
 from mimic.flows.reporter import Reporter, SilentReporter, reporting

@@ -17,8 +17,8 @@ except ImportError:
 
 from mimic.config.play import DEFAULT_ROBOT, NOMINAL, Randomisation
 from mimic.control.desired import LiveMotion, StoredMotion
+from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.start import start
-from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Asked, Run
 from mimic.errors import ConfigError, PlantError
 from mimic.evaluation.episode import OF_EPISODES, TIMING, TRACKING_RULES, of_episode

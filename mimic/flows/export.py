@@ -113,7 +113,7 @@ def export_batch(out: Path, *, video: bool = True, reporter: Reporter | None = N
 def _motion(log: RunLog, form: Format, folder: Path) -> dict[str, Any]:
     """Return a run as a motion file of mjlab or GMR, at equal time steps."""
     from mimic.control.dropouts import fill_dropouts
-    from mimic.flows.motion_layouts import gmr_motion, mjlab_motion
+    from mimic.flows.motions.motion_layouts import gmr_motion, mjlab_motion
     from mimic.robot.description import load_description
 
     description = load_description(str(log.metadata.get("robot", DEFAULT_ROBOT)))

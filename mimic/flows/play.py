@@ -12,7 +12,7 @@ import numpy as np
 
 from mimic.config.play import DEFAULT_ROBOT, EffectsSettings, RunSettings
 from mimic.errors import AssetError, ConfigError, SourceError
-from mimic.flows.motion import Arrays, InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
+from mimic.flows.motions.motion import Arrays, InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import (
@@ -243,7 +243,7 @@ def load_run(folder: str | Path) -> SavedRun:
         AssetError: If it is no run folder, or a file in it is broken.
     """
     from mimic.control.loop import RunResult
-    from mimic.control.supervisor import Event, SafetyMode
+    from mimic.control.safety.supervisor import Event, SafetyMode
 
     folder = Path(folder)
     if not (folder / LOG).is_file():

@@ -19,9 +19,9 @@ from mimic.records.table import ShownAsTable
 
 if TYPE_CHECKING:
     from mimic.control.loop import RunResult
-    from mimic.control.supervisor import Event
-    from mimic.flows.camera_record import CameraRecord
-    from mimic.flows.motion import Motion
+    from mimic.control.safety.supervisor import Event
+    from mimic.flows.motions.camera_record import CameraRecord
+    from mimic.flows.motions.motion import Motion
     from mimic.robot.description import RobotDescription
     from mimic.view.scene.footage import Footage
 
@@ -90,7 +90,7 @@ class Run(ShownAsTable):
     @property
     def shortfall(self) -> str | None:
         """What the robot did not do, as a sentence without its full stop: it never stood up, or was damped early."""
-        from mimic.control.supervisor import SafetyMode
+        from mimic.control.safety.supervisor import SafetyMode
 
         ends = ("finished", "at_rest")
         damped = next((e for e in self.events if e.mode >= SafetyMode.DAMP and e.rule not in ends), None)

@@ -91,7 +91,7 @@ def test_no_option_of_a_command_means_two_things(command, capsys):
 
 def test_holding_a_button_is_asked_for_on_the_command_line(monkeypatch):
     asked = []
-    monkeypatch.setattr("mimic.flows.robot_run.play_on_robot", lambda *_, bus, **__: asked.append(bus) or 1 / 0)
+    monkeypatch.setattr("mimic.flows.robot.robot_run.play_on_robot", lambda *_, bus, **__: asked.append(bus) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
         main(["--robot", "can0", "--hold", "/dev/input/js0"])
     assert asked[0].hold == "/dev/input/js0"

@@ -22,7 +22,7 @@ def last_line(capsys) -> str:
 )
 def test_a_check_ends_with_a_line_that_decides(verdict, status, expected, monkeypatch, capsys):
     found = [Check(name="network", verdict="ok", text="fine"), Check(name="pose", verdict=verdict, text="it lies")]
-    monkeypatch.setattr("mimic.flows.commissioning.check_robot", lambda *_, **__: found)
+    monkeypatch.setattr("mimic.flows.robot.commissioning.check_robot", lambda *_, **__: found)
     assert main(["robot", "check", "cyberdog2"]) == status
     assert last_line(capsys) == expected
 
@@ -40,7 +40,7 @@ def test_a_question_that_nobody_can_answer_is_one_line(monkeypatch, capsys):
     def asks(bus_url, bus, *, again, operator):
         operator.confirm("Keep your hands off it from here on.")
 
-    monkeypatch.setattr("mimic.flows.commissioning.zero_robot", asks)
+    monkeypatch.setattr("mimic.flows.robot.commissioning.zero_robot", asks)
     monkeypatch.setattr("sys.stdin", None)
     assert main(["robot", "zero", "can0"]) == 2
     said = capsys.readouterr().err

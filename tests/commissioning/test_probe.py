@@ -10,12 +10,12 @@ from mimic.commissioning.probe_motion import GROUPS, asked_rates, probe_motion, 
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import ProbeSettings
 from mimic.config.sysid import CalibrateSettings
-from mimic.control.safety_limits import limits_for
+from mimic.control.safety.safety_limits import limits_for
 from mimic.control.signals import Signals
 from mimic.dynamics.excitation import hung_ranges
 from mimic.dynamics.machine import hung_robot, with_gains
-from mimic.emulator.board import EmulatedBoard
-from mimic.emulator.board_bus import EmulatedBoardBus
+from mimic.emulator.boards.board import EmulatedBoard
+from mimic.emulator.boards.board_bus import EmulatedBoardBus
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot

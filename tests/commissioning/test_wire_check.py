@@ -17,7 +17,7 @@ from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import ConfigError, PlantError
-from mimic.flows.wiring import wire_robot
+from mimic.flows.robot.wiring import wire_robot
 from mimic.hardware import session
 from mimic.hardware.can.wiring import Wiring, load_wiring
 from mimic.hardware.motors.interface import MotorMode

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mimic.config.play import RunSettings
-from mimic.flows.motion import motion_from_text
+from mimic.flows.motions.motion import motion_from_text
 from mimic.flows.play import play
 from mimic.geometry import heading_from_quat, turned_about_up, wrap_angle
 from mimic.simulation.plant import SimulatedPlant

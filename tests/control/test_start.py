@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from mimic.config.play import NOMINAL, Disturbance
 from mimic.control.joint_test import JointTest, Mistake
 from mimic.control.loop import run_policy
+from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.start import not_crouched
-from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
 from mimic.evaluation.episode import TIMING, play_episode
 from mimic.evaluation.policy import standing_track

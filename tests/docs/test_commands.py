@@ -158,7 +158,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, short_clip: Path) -> Path
     """A folder with each file that the documented commands name; every video is short."""
     import mimic
     from mimic.config.sysid import LogSettings
-    from mimic.flows.machine_log import LogMotion
+    from mimic.flows.logs.machine_log import LogMotion
     from mimic.io import store
     from mimic.records import LANDMARKS
 

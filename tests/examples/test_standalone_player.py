@@ -15,7 +15,7 @@ import pytest
 
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
-from mimic.control.supervisor import Supervisor
+from mimic.control.safety.supervisor import Supervisor
 from mimic.control.tick import Safety
 from mimic.io.assets import shipped
 from mimic.policy.runtime import load_policy

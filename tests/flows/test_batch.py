@@ -11,7 +11,7 @@ import pytest
 
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.flows.batch import Job, finished, key_of, play_job, settings_key
-from mimic.flows.motion import InputSettings
+from mimic.flows.motions.motion import InputSettings
 
 STANDING = {
     "left_shoulder": (0.0, 0.2, 1.4),

@@ -18,7 +18,7 @@ from mimic.cli import main
 from mimic.config.play import RunSettings
 from mimic.errors import AssetError, ConfigError, MissingExtra
 from mimic.flows.export import export, export_batch
-from mimic.flows.motion import motion_from_text
+from mimic.flows.motions.motion import motion_from_text
 from mimic.flows.play import play
 from mimic.flows.run_folder import save_logs, save_motion
 from mimic.io import store

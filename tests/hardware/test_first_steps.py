@@ -11,7 +11,7 @@ from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import TETHER_RAMP, TETHER_TORQUE, BusSettings
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
-from mimic.control.supervisor import SafetyMode, Supervisor
+from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.control.safety_limits import limits_for
+from mimic.control.safety.safety_limits import limits_for
 from mimic.errors import BusError, ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.control.safety_limits import limits_for
+from mimic.control.safety.safety_limits import limits_for
 from mimic.errors import FrameError, MimicError
 from mimic.hardware.robot.driver import ALL, Driver
 from mimic.records import JOINTS, FloatArray, JointCommand

@@ -12,14 +12,14 @@ import pytest
 
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
-from mimic.control.safety_rules import RULES
-from mimic.control.step_history import StepReport
-from mimic.control.supervisor import SafetyMode, Supervisor
+from mimic.control.safety.safety_rules import RULES
+from mimic.control.safety.step_history import StepReport
+from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.sender_link import robot_on_can
 from mimic.errors import BusError, PlantError
-from mimic.flows import commissioning
+from mimic.flows.robot import commissioning
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can import driver

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mimic.config.emulator import EmulateSettings
-from mimic.control.step_history import StepReport
-from mimic.control.supervisor import Supervisor
+from mimic.control.safety.step_history import StepReport
+from mimic.control.safety.supervisor import Supervisor
+from mimic.emulator.boards.go2 import EmulatedGo2, EmulatedGo2Bus
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.go2 import EmulatedGo2, EmulatedGo2Bus
 from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import FrameError, PlantError, SenderError
 from mimic.hardware.go2.driver import GONE_ON, RESTED, UNREACHED, Go2Driver

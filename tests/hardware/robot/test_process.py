@@ -18,7 +18,7 @@ import pytest
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.control.priority import EMULATOR, LOOP, real_time
-from mimic.emulator.board import EmulatedBoard
+from mimic.emulator.boards.board import EmulatedBoard
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
@@ -90,7 +90,7 @@ class Served:
 @pytest.fixture
 def board(wiring, description):
     pytest.importorskip("lcm")
-    from mimic.emulator.board_server import BoardServer
+    from mimic.emulator.boards.board_server import BoardServer
 
     robot = EmulatedBoard(description, wiring, EmulateSettings(placement=0.0))
     settings = DriverSettings(bus_url="cyberdog2", robot="cyberdog2", wiring=str(wiring.path), interface="lo")
@@ -112,8 +112,8 @@ def motors(description):
 @pytest.fixture
 def go2(tmp_path):
     pytest.importorskip("cyclonedds")
-    from mimic.emulator.board_server import BoardServer
-    from mimic.emulator.go2 import EmulatedGo2
+    from mimic.emulator.boards.board_server import BoardServer
+    from mimic.emulator.boards.go2 import EmulatedGo2
     from mimic.hardware.go2.dds_bus import DdsBus
     from mimic.hardware.go2.wiring import load_go2
 

@@ -8,10 +8,10 @@ import pytest
 from mimic.config.emulator import EmulateSettings
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
-from mimic.control.supervisor import SafetyMode, Supervisor
+from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
-from mimic.emulator.board import EmulatedBoard
-from mimic.emulator.board_bus import EmulatedBoardBus
+from mimic.emulator.boards.board import EmulatedBoard
+from mimic.emulator.boards.board_bus import EmulatedBoardBus
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import PlantError, SenderError

@@ -10,7 +10,7 @@ import pytest
 
 from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.errors import SourceError
-from mimic.flows.motion import load_motion
+from mimic.flows.motions.motion import load_motion
 from mimic.records import PoseTrack
 from mimic.retargeting.wrists import wrist_track
 from mimic.sources.mocap.body import MIRRORED, UNTOLD

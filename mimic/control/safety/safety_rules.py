@@ -1,0 +1,425 @@
+"""The rules by which a robot is stopped: each a function, with its row of the table in docs/manual/robot.md."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mimic.control.safety.safety_limits import Limits
+from mimic.control.safety.step_history import MOVING, STANDING, StepHistory, StepReport
+from mimic.geometry import up_cosine
+from mimic.metrics import uprightness
+from mimic.records import DOUBLED, JOINTS, PHASES
+
+BOARD_LATE = 0x01
+"""Bit of a motion board's error flag: a command was late."""
+BOARD_TIMED_OUT = 0x02
+"""Bit of the same: commands are ignored."""
+
+_SIT = "sit down*"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alert:
+    """What a rule found in one control step."""
+
+    outcome: Literal["RUN", "SIT_DOWN", "DAMP", "STOPPED"]
+    """What follows, as the name of a SafetyMode."""
+    text: str
+    """What happened, as a sentence without its full stop."""
+    about: str = ""
+    """Its subject, such as a joint; each subject is reported once."""
+    needs_upright: bool = True
+    """Whether sitting down makes sense only for a robot that is still upright."""
+
+
+Check = Callable[[StepReport, StepHistory, Limits], Iterator[Alert]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    """A row of the table in docs/manual/robot.md."""
+
+    name: str
+    limit: Callable[[Limits], str]
+    """Says the limit in words."""
+    within: str
+    """How soon it is detected."""
+    outcome: str
+    """What follows, in words."""
+    check: Check
+    reads_history: bool = True
+    """Whether it looks at more than the newest report."""
+
+
+RULES: list[Rule] = []
+"""Every rule that checks readings, in the order in which they are checked."""
+
+
+def _rule(limit: Callable[[Limits], str], within: str, outcome: str) -> Callable[[Check], Check]:
+    """Add a rule of this function's name to RULES."""
+
+    def add(check: Check) -> Check:
+        RULES.append(Rule(name=check.__name__, limit=limit, within=within, outcome=outcome, check=check))
+        return check
+
+    return add
+
+
+def degrees(cosine: float) -> int:
+    """Return the angle of a cosine [deg]."""
+    return round(float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+
+
+def _failed(joint: int, text: str) -> Alert:
+    return Alert(outcome="SIT_DOWN", text=text, about=JOINTS[joint])
+
+
+@_rule(
+    lambda L: "Ctrl-C, the terminal is closed, or `--hold` is released; Ctrl-C again, or SIGTERM",
+    "1 tick; a key 0.3 s",
+    "sit down; damp",
+)
+def asked_to_end(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Ctrl-C once and again, SIGTERM, and what must be held and was let go."""
+    if report.terminated:
+        yield Alert(outcome="DAMP", text="the process was asked to end (SIGTERM)")
+    if report.interrupts > 1:
+        yield Alert(outcome="DAMP", text="Ctrl-C was pressed again")
+    elif report.interrupts == 1:
+        text = "the terminal was closed (SIGHUP)" if report.hung_up else "Ctrl-C was pressed"
+        yield Alert(outcome="SIT_DOWN", text=text, needs_upright=False)
+    if report.released:
+        yield Alert(outcome="SIT_DOWN", text="the key or button was let go (--hold)", needs_upright=False)
+
+
+@_rule(
+    lambda L: f"{L.silent_ticks} ticks without an answer",
+    "100 ms",
+    _SIT,
+)
+def motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Motors that do not answer."""
+    health = report.health
+    silent = np.flatnonzero((health.missed >= limits.silent_ticks) & (health.age >= limits.silent_seconds))
+    history.failed.update(map(int, silent))
+    if len(silent) == len(JOINTS):
+        yield Alert(outcome="SIT_DOWN", text=f"no motor has answered for {float(health.age.min()):.2f} s", about="all")
+        return
+    for joint in silent:
+        missed = int(health.missed[joint])
+        age = float(health.age[joint])
+        yield _failed(int(joint), f"motor {JOINTS[joint]} has not answered for {missed} ticks ({age:.2f} s)")
+
+
+@_rule(
+    lambda L: "any fault bit, two motors with one id, or not in run mode",
+    "1 tick",
+    _SIT,
+)
+def motor_failed(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Motors that report a fault, or switched themselves off."""
+    health = report.health
+    for joint in np.flatnonzero(health.faults):
+        bits = int(health.faults[joint])
+        text = f"motor {JOINTS[joint]} reports fault bits {bits:#04x}"
+        if bits & DOUBLED:
+            text = f"two motors answer as {JOINTS[joint]}: they have one id"
+        history.failed.add(int(joint))
+        yield _failed(int(joint), text)
+    if not history.moves:
+        return
+    for joint in np.flatnonzero(~health.running & (health.missed == 0) & (health.faults == 0)):
+        history.failed.add(int(joint))
+        history.distrusted.add(int(joint))
+        yield _failed(int(joint), f"motor {JOINTS[joint]} switched itself off, so its zero may be lost")
+
+
+@_rule(
+    lambda L: (
+        f"a motor at {L.temperature_warning:g} °C, or a winding at {L.rise_warning:.0%} of its limit by the "
+        f"thermal model; {L.temperature:g} °C, {L.rise:.0%}"
+    ),
+    "1 tick",
+    f"announce; {_SIT}",
+)
+def too_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Motors and windings that are warm, and too warm."""
+    temperature = report.health.temperature
+    for joint in np.flatnonzero(temperature >= limits.temperature_warning):
+        name = JOINTS[joint]
+        text = f"motor {JOINTS[joint]} is at {temperature[joint]:.0f} degC"
+        if temperature[joint] < limits.temperature:
+            yield Alert(outcome="RUN", text=f"{text}; it sits down at {limits.temperature:g} degC", about=name)
+        else:
+            yield Alert(outcome="SIT_DOWN", text=text, about=name)
+    for joint in np.flatnonzero(history.rise >= limits.rise_warning):
+        outcome = "RUN" if history.rise[joint] < limits.rise else "SIT_DOWN"
+        text = f"the winding of {JOINTS[joint]} is at {history.rise[joint]:.0%} of its limit by the thermal model"
+        yield Alert(outcome=outcome, text=text, about=f"winding {JOINTS[joint]}")
+
+
+@_rule(
+    lambda L: f"answers take {1e3 * L.slow_answers:g} ms for half a second; {1e3 * L.slowest_answers:g} ms",
+    "0.5 s",
+    "announce; sit down",
+)
+def answers_slow(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Answers that take long, though none is missing."""
+    text = f"answers of the motors take {1e3 * history.round_trip:.0f} ms"
+    if history.round_trip > limits.slowest_answers:
+        yield Alert(outcome="SIT_DOWN", text=text)
+    elif history.round_trip > limits.slow_answers:
+        yield Alert(outcome="RUN", text=f"{text}; it sits down at {1e3 * limits.slowest_answers:g} ms")
+
+
+@_rule(
+    lambda L: f"supply below {L.low_voltage:g} V; {L.lowest_voltage:g} V",
+    "5 s",
+    "announce; sit down",
+)
+def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """A supply that runs down."""
+    text = f"the supply is at {history.voltage:.1f} V"
+    if history.voltage < limits.lowest_voltage:
+        yield Alert(outcome="SIT_DOWN", text=text)
+    elif history.voltage < limits.low_voltage:
+        yield Alert(outcome="RUN", text=f"{text}; it sits down at {limits.lowest_voltage:g} V")
+
+
+@_rule(
+    lambda L: (
+        f"{L.outside:g} rad beyond a joint limit, {L.jump:g} rad in one tick, faster than {L.overspeed:g} rad/s in "
+        f"2 ticks, or {L.frozen_ticks} equal readings while a policy moves the target by {L.frozen_targets:g} rad"
+    ),
+    "1 tick to 320 ms",
+    _SIT,
+)
+def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Readings that no joint can have, that turn too fast, or that do not change although the targets do."""
+    description = history.description
+    q = report.state.q
+    outside = np.maximum(q - description.q_max, description.q_min - q)
+    found: dict[int, str] = {}
+    for joint in np.flatnonzero(history.fast >= 2):
+        found[int(joint)] = f"joint {JOINTS[joint]} turns at {report.state.dq[joint]:.0f} rad/s"
+    for joint in np.flatnonzero(history.frozen):
+        text = f"joint {JOINTS[joint]} reads the same {limits.frozen_ticks} times, though its target moves"
+        found[int(joint)] = text
+        history.distrusted.add(int(joint))
+    for joint in np.flatnonzero(history.jump > limits.jump):
+        found[int(joint)] = f"joint {JOINTS[joint]} jumped by {history.jump[joint]:.2f} rad in one tick"
+        history.distrusted.add(int(joint))
+    for joint in np.flatnonzero(outside > limits.outside):
+        found[int(joint)] = f"joint {JOINTS[joint]} reads {q[joint]:.2f} rad, {outside[joint]:.2f} rad beyond its limit"
+        history.distrusted.add(int(joint))
+    history.failed.update(found)
+    for joint, text in sorted(found.items()):
+        yield _failed(joint, text)
+
+
+@_rule(
+    lambda L: f"more than {L.off_target:g} rad from the target for 0.5 s",
+    "0.5 s",
+    _SIT,
+)
+def off_target(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Joints that do not get to their targets."""
+    away = np.flatnonzero(history.off_target >= limits.off_target_ticks) if history.moves else ()
+    history.failed.update(map(int, away))
+    for joint in away:
+        text = f"joint {JOINTS[joint]} has been more than {limits.off_target:g} rad from its target for half a second"
+        yield _failed(int(joint), text)
+
+
+@_rule(
+    lambda L: (
+        f"older than {1e3 * L.imu_age:g} ms, or not valid by its status; while a policy moves the robot also "
+        f"{L.imu_repeats + 1} equal readings, or nothing new for {1e3 * L.imu_age:g} ms"
+    ),
+    "120 ms",
+    "damp",
+)
+def imu_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """An IMU that sends nothing, nothing new, or nothing valid."""
+    health = report.health
+    if not health.imu_age <= limits.imu_age:
+        yield Alert(outcome="DAMP", text=f"the IMU has been silent for {health.imu_age:.2f} s")
+    elif health.imu_valid is False:
+        yield Alert(outcome="DAMP", text="the IMU says that its orientation is not valid")
+    elif not history.moves or PHASES[report.phase] not in MOVING:
+        return
+    elif history.imu_repeats >= limits.imu_repeats:
+        yield Alert(outcome="DAMP", text=f"the IMU sent the same orientation {history.imu_repeats + 1} times")
+    elif health.imu_unchanged > limits.imu_age:
+        yield Alert(outcome="DAMP", text=f"nothing that the IMU sends has changed for {health.imu_unchanged:.2f} s")
+
+
+@_rule(
+    lambda L: (
+        f"heading, or tilt, and rate of turn differ by {L.turn_mismatch:g} rad in a tick; tilt {L.doubt_ticks} "
+        f"times in a row, or for {L.legs_ticks} ticks hind toes {100 * L.toes_apart:g} cm apart in height while "
+        f"standing, {100 * L.toes_apart_moving:g} cm while getting up or down, or front toes less than "
+        f"{100 * L.front_above:g} cm above them while standing"
+    ),
+    "60 ms",
+    "jump removed, or reading ignored; damp",
+)
+def imu_contradiction(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Orientations that do not turn as the rate of turn says, or that the legs contradict."""
+    text = f"orientation and rate of turn of the IMU disagree by {history.turn_mismatch:.2f} rad"
+    if history.doubtful >= limits.doubt_ticks:
+        yield Alert(outcome="DAMP", text=f"{text}, {history.doubtful} times in a row")
+    elif history.doubtful:
+        yield Alert(outcome="RUN", text=f"{text}; that orientation is left out", about="once")
+    if history.heading_jump:
+        turned = np.rad2deg(history.heading_jump)
+        text = f"the heading of the IMU jumped by {turned:.0f} deg; it is taken out"
+        yield Alert(outcome="RUN", text=text, about="heading")
+    if history.moves and PHASES[report.phase] in MOVING and history.legs_contradict >= limits.legs_ticks:
+        yield Alert(
+            outcome="DAMP",
+            text=f"IMU and legs disagree: they put the hind toes {history.hind_apart:.2f} m apart in height, "
+            f"and the front toes {history.front_above:.2f} m above the hind toes",
+        )
+
+
+def tipping(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """A standing robot that is about to fall."""
+    if PHASES[report.phase] in STANDING and not history.doubtful:
+        upright = float(uprightness(report.state.quat_WB, history.description))
+        if upright < limits.upright:
+            yield Alert(outcome="DAMP", text=f"the robot is tipping over: {degrees(upright)} deg from upright")
+
+
+def fallen(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """A robot that should stand and lies."""
+    if PHASES[report.phase] in STANDING and float(up_cosine(*report.state.quat_WB)) < limits.fallen:
+        yield Alert(outcome="STOPPED", text="the robot has fallen")
+
+
+@_rule(
+    lambda L: (
+        f"cosine to upright below {L.upright:g} ({degrees(L.upright)} deg) while standing; sine of the roll above "
+        f"{L.side_tilt:g}, or base z below {L.backward:g}, while getting up or down"
+    ),
+    "1 tick",
+    "damp",
+)
+def falling(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """A robot that tips over while it stands, or rolls over while it gets up or down."""
+    if not history.moves:
+        return
+    yield from tipping(report, history, limits)
+    if PHASES[report.phase] not in STANDING:
+        _, side, up = history.rotation[2]
+        if abs(side) > limits.side_tilt:
+            angle = np.rad2deg(np.arcsin(np.clip(abs(side), 0.0, 1.0)))
+            yield Alert(outcome="DAMP", text=f"the robot is rolling over: {angle:.0f} deg to the side")
+        elif up < limits.backward:
+            yield Alert(outcome="DAMP", text="the robot is falling onto its back")
+
+
+@_rule(
+    lambda L: (
+        f"one of {1e3 * L.overrun:g} ms, or {L.small_overruns_logged} in a row of {1e3 * L.small_overrun:g} "
+        f"ms; {L.overrun_ticks} in a row of {1e3 * L.overrun:g} ms, {L.small_overrun_ticks} in a row of "
+        f"{1e3 * L.small_overrun:g} ms, or one of {1e3 * L.longest_overrun:g} ms"
+    ),
+    "1 tick",
+    "log; damp",
+)
+def step_late(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Control steps that end late."""
+    overrun = report.health.late
+    row = history.overruns
+    small = history.small_overruns
+    milliseconds = 1e3 * overrun
+    if overrun > limits.longest_overrun or row >= limits.overrun_ticks:
+        yield Alert(outcome="DAMP", text=f"a tick overran by {milliseconds:.0f} ms, {row} in a row")
+    elif small >= limits.small_overrun_ticks:
+        yield Alert(outcome="DAMP", text=f"{small} ticks in a row overran, the last one by {milliseconds:.1f} ms")
+    elif row:
+        yield Alert(outcome="RUN", text=f"a tick overran by {milliseconds:.0f} ms", about="once")
+    elif small == limits.small_overruns_logged:
+        yield Alert(outcome="RUN", text=f"{small} ticks in a row overran, the last one by {milliseconds:.1f} ms")
+
+
+@_rule(
+    lambda L: (
+        f"any, or the stock robot's firmware reports a command later than 10 ms (0x01); {L.bus_errors} within "
+        "0.1 s, or it reports none for 500 ms (0x02)"
+    ),
+    "0.1 s",
+    "log; damp",
+)
+def bus_errors(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Frames that make no sense, buses that fail, and commands that a motion board misses."""
+    if report.health.err_flag & BOARD_TIMED_OUT:
+        yield Alert(outcome="DAMP", text="the robot's firmware ignores commands, as none had reached it (error 0x02)")
+    elif report.health.err_flag & BOARD_LATE:
+        gap = 1e3 * report.health.command_gap
+        yield Alert(outcome="RUN", text=f"the robot got no command for {gap:.0f} ms (error 0x01)", about="board")
+    if history.new_errors >= limits.bus_errors:
+        yield Alert(outcome="DAMP", text=f"the bus had {history.new_errors} errors within a tenth of a second")
+    elif history.new_errors:
+        yield Alert(outcome="RUN", text=f"the bus had {history.new_errors} errors")
+
+
+@_rule(
+    lambda L: f"silent for {L.sender_age:g} s; for 0.2 s, has ended, or has damped the robot",
+    "1 tick",
+    "sit down; damp",
+)
+def sender(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """A process that sends to the robot, and has said nothing for a while."""
+    silent = report.health.sender_age
+    if silent > limits.sender_age:
+        text = f"the process that sends to the robot has said nothing for {silent:.2f} s"
+        yield Alert(outcome="SIT_DOWN", text=text, needs_upright=False)
+
+
+@_rule(
+    lambda L: f"a command of another program, or an answer to one; {L.foreign_storm} within 0.1 s",
+    "1 tick",
+    "sit down; damp",
+)
+def other_program(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Commands of another program."""
+    if history.new_foreign >= limits.foreign_storm:
+        text = f"another program commands this robot: {history.new_foreign} times within a tenth of a second"
+        yield Alert(outcome="DAMP", text=text)
+    elif report.health.foreign:
+        yield Alert(outcome="SIT_DOWN", text="another program commands this robot", needs_upright=False)
+
+
+SUSPENDED_RULES = tuple(rule for rule in RULES if rule.check not in (imu_silent, imu_contradiction, falling))
+"""Rules for a suspended robot, which needs no balance."""
+
+FAILURE = "failure"
+"""The rule that the control loop applies itself."""
+
+FAILURES = "a target or an answer is not a number, or any exception; the log cannot be written, as on a full disk"
+"""What it finds, in words."""
+
+FAILURE_OUTCOMES = "damp; sit down, the rows stay in memory"
+"""What follows from that, in words."""
+
+TIPPING = Rule(name="falling", limit=lambda L: "", within="1 tick", outcome="damp", check=tipping)
+"""Of a robot that stands; for episodes in simulation."""
+
+FALLEN = Rule(
+    name="fallen",
+    limit=lambda L: f"cosine of base x to up below {L.fallen:g} while standing",
+    within="1 tick",
+    outcome="stop",
+    check=fallen,
+    reads_history=False,
+)
+"""Ends an evaluated episode whose robot has fallen; for simulation only."""
+
+FALLS = (falling.__name__, FALLEN.name)
+"""Rules that mean that the robot falls."""

@@ -1,0 +1,1 @@
+"""Emulated boards that drive all motors themselves: CyberDog 2's and Go2's."""

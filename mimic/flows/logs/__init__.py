@@ -1,0 +1,1 @@
+"""What is done with logs of machines."""

@@ -1,0 +1,123 @@
+"""Which effect differs between two units of one machine: the same effects fitted to a log of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mimic.config.sysid import CalibrateSettings
+from mimic.errors import CalibrationError
+from mimic.flows.logs.calibrate import calibrate
+from mimic.flows.reporter import Reporter
+from mimic.records.table import ShownAsTable
+
+if TYPE_CHECKING:
+    from mimic.dynamics.effect_set import EffectValues
+    from mimic.dynamics.machine import MachineModel
+    from mimic.io.joint_log import JointLog
+    from mimic.sysid.result import Calibration
+
+WIDTH = 2 * 1.96
+"""Width of a 95 % interval, in standard errors."""
+
+SURE = 3.0
+"""Standard errors from which on a difference counts, as a calibration asks of an effect."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Difference(ShownAsTable):
+    """A number of an effect in both units."""
+
+    effect: str
+    """Name in the catalogue."""
+    parameter: str
+    unit: str
+    joint: str
+    """Empty for the whole machine."""
+    first: float
+    """Value in the first unit."""
+    second: float
+    """… and in the second."""
+    z: float
+    """Their difference in its standard errors; 0 where an interval is not known."""
+
+    @property
+    def sure(self) -> bool:
+        """Whether noise does not explain it."""
+        return abs(self.z) >= SURE
+
+
+def compare(
+    first: str | Path | JointLog,
+    second: str | Path | JointLog,
+    model: str | Path | MachineModel | None = None,
+    settings: CalibrateSettings | None = None,
+    *,
+    notes: Sequence[str] = (),
+    reporter: Reporter | None = None,
+) -> list[Difference]:
+    """Return how two units of one machine differ, the surest difference first.
+
+    Effects are looked for in each log; all that were found in either are then fitted to both.
+
+    Args:
+        first: Log of one unit.
+        second: Log of the other; the same motion shows most.
+        model: As of `mimic.flows.logs.calibrate.calibrate`, and so are all others.
+
+    Raises:
+        CalibrationError: If a log cannot be used, or is of another machine.
+    """
+    settings = settings or CalibrateSettings()
+    logs = (first, second)
+    found: list[str] = []
+    for log in logs:
+        result = calibrate(log, model, settings, notes=notes, reporter=reporter)
+        if not result.log_matches_model:
+            raise CalibrationError(f"{log if isinstance(log, (str, Path)) else 'a log'}: {result.sentence}")
+        found += [name for name in result.names if name not in found]
+    both = replace(settings, baseline=(*settings.baseline, *found), most_effects=0)
+    fits = [calibrate(log, model, both, notes=notes, reporter=reporter) for log in logs]
+    differences = _differences(fits[0], fits[1])
+    return sorted(differences, key=lambda one: -abs(one.z))
+
+
+def _differences(first: Calibration, second: Calibration) -> list[Difference]:
+    from mimic.dynamics.catalogue import unit_of
+
+    others = {effect.name: effect for effect in second.effects}
+    differences = []
+    for effect in first.effects:
+        other = others.get(effect.name)
+        if other is None:
+            continue
+        for name, values in effect.values.items():
+            for j, joint in enumerate(effect.joints or ("",)):
+                if joint and joint not in other.joints:
+                    continue
+                k = other.joints.index(joint) if joint else 0
+                value = float(values[j])
+                theirs = float(other.values[name][k])
+                error = (_variance(effect, name, j) + _variance(other, name, k)) ** 0.5
+                differences.append(
+                    Difference(
+                        effect=effect.name,
+                        parameter=name,
+                        unit=unit_of(effect.name, name, first.unit),
+                        joint=joint,
+                        first=value,
+                        second=theirs,
+                        z=(theirs - value) / error if error > 0.0 else 0.0,
+                    )
+                )
+    return differences
+
+
+def _variance(effect: EffectValues, name: str, j: int) -> float:
+    """Return the squared standard error of a value; 0 where it is not known."""
+    if name not in effect.intervals:
+        return 0.0
+    low, high = effect.intervals[name][j]
+    return float((high - low) / WIDTH) ** 2

@@ -1,0 +1,270 @@
+"""Serving the emulated robot to other processes."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mimic.config.emulator import EmulateSettings
+from mimic.config.play import DEFAULT_ROBOT, EffectsSettings
+from mimic.control.priority import EMULATOR, real_time
+from mimic.dynamics.effect_set import EffectSet, read_effects
+from mimic.dynamics.servo import read_standing
+from mimic.emulator.boards.board import EmulatedBoard
+from mimic.emulator.boards.board_base import TICK
+from mimic.emulator.boards.board_server import BoardServer
+from mimic.emulator.boards.go2 import EmulatedGo2
+from mimic.emulator.faults import BOARD_ONLY, CAN_KINDS, EmulatedFault, parse_fault, random_fault
+from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.server import EmulatorServer
+from mimic.errors import ConfigError
+from mimic.flows.play import load_robot, warn_of_stand_effects
+from mimic.flows.reporter import Reporter, reporting
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.go2.dds_bus import DdsBus
+from mimic.hardware.go2.dds_bus import check_network as check_go2_network
+from mimic.hardware.go2.wiring import load_go2
+from mimic.hardware.robot.board import Bus
+from mimic.hardware.stock.lcm_bus import LcmBus, check_network
+from mimic.hardware.stock.wiring import load_board
+
+FRAME_INTERVAL = 1 / 30
+"""Time between two pictures in the viewer [s]."""
+
+CLOSE_TIMEOUT = 5.0
+"""Longest wait for the viewer's window to close [s]."""
+
+RANDOM_FAULT = (0.5, 8.0)
+"""A random fault begins this long after the first motor was switched on [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServeOptions:
+    """Where and how long the robot is served."""
+
+    listen: str = "127.0.0.1:29536"
+    """HOST:PORT for socketcand; port 0 takes a free one."""
+    slcan: bool = False
+    """Whether each bus is also served as a serial adapter (slcan) on a pseudo-terminal."""
+    buses: int = 1
+    """Number of buses."""
+    wiring: Path | None = None
+    """Wiring file; by default the shipped one."""
+    faults: Sequence[str] = ()
+    """Faults to inject, KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]]."""
+    fault_seed: int | None = None
+    """Also inject a random fault, drawn with this seed."""
+    seconds: float | None = None
+    """End after this [s]; None serves until Ctrl-C or SIGTERM."""
+    every: float = 10.0
+    """Interval of the status lines [s]; 0 for none."""
+    view: bool = False
+    """Open MuJoCo's viewer."""
+    board: str | None = None
+    """Stock robot to serve, cyberdog2 or go2; None serves motors on CAN."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Served:
+    """What was served."""
+
+    seconds: float
+    """Time of the emulation [s]."""
+    figures: Mapping[str, str]
+    """Rows of a table of what happened."""
+    stood_still: float
+    """For how long the emulation stood still because this computer was too slow [s]."""
+    switched_on: tuple[str, ...]
+    """Joints whose motors were on at the end; of a stock robot those that were driven."""
+    driven: tuple[str, ...]
+    """Those of them that had stiffness or torque."""
+
+
+def _address(listen: str) -> tuple[str, int]:
+    host, colon, port = listen.rpartition(":")
+    if not colon or not host or not port.isdigit() or int(port) > 65535:
+        raise ConfigError(f"--listen is {listen!r}; expected HOST:PORT, such as 127.0.0.1:29536")
+    return host, int(port)
+
+
+def serve_robot(
+    options: ServeOptions | None = None,
+    settings: EmulateSettings | None = None,
+    effects: EffectsSettings | None = None,
+    *,
+    reporter: Reporter | None = None,
+) -> Served:
+    """Serve an emulated robot until Ctrl-C, SIGTERM or the given time: on emulated CAN buses, or a stock one.
+
+    Args:
+        options: Which robot, where, how long, and which faults.
+        settings: How the robot behaves.
+        effects: What a calibration found.
+        reporter: Receives addresses, events and status lines.
+
+    Raises:
+        ConfigError: If an address, a fault or the effects cannot be used.
+        AssetError: If a file cannot be read.
+        BusError, MissingExtra: If its network cannot be opened.
+    """
+    options = options or ServeOptions()
+    settings = settings or EmulateSettings()
+    effects = effects or EffectsSettings()
+    reporter = reporting(reporter)
+    emulated, faults, listen = (_on_can if options.board is None else _board)(options, settings, effects, reporter)
+    shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
+    with real_time(EMULATOR, inherited=True):  # also for the threads in which a network receives
+        server = listen()
+    for fault in faults:
+        reporter.note(f"fault        {fault}")
+    begin = reported = time.monotonic()
+
+    def each() -> None:
+        nonlocal reported
+        while emulated.events:
+            t, text = emulated.events.popleft()
+            reporter.note(f"{t:9.3f} s  {text}")
+        if options.every and time.monotonic() - reported >= options.every:
+            reported = time.monotonic()
+            reporter.note(server.line())
+        if shown is not None:
+            shown.show()
+
+    try:
+        with _until_signal() as signalled, real_time(EMULATOR):
+
+            def ended() -> bool:
+                over = options.seconds is not None and time.monotonic() - begin >= options.seconds
+                return signalled() or over or (shown is not None and not shown.open())
+
+            for address in server.addresses:
+                reporter.note(f"ready        {address}")
+            server.run(ended, each)
+    finally:
+        server.close()
+        if shown is not None:
+            shown.close()
+    return Served(
+        seconds=emulated.now,
+        figures=server.figures(),
+        stood_still=server.stood_still,
+        switched_on=emulated.switched_on(),
+        driven=emulated.driven(),
+    )
+
+
+_Made = tuple[Any, Sequence[EmulatedFault], Callable[[], Any]]
+"""An emulated robot, its faults, and what opens its server."""
+
+
+def _on_can(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
+    host, port = _address(options.listen)
+    faults = _faults(options, CAN_KINDS)
+    for fault in faults:
+        if fault.kind in BOARD_ONLY:
+            raise ConfigError(f"{fault.kind} is a fault of stock robots; add --board cyberdog2 or go2")
+    robot = EmulatedRobot(
+        load_robot(effects.robot_model),
+        load_wiring(options.wiring, buses=options.buses),
+        settings,
+        effects=_effects(effects, settings, reporter),
+        faults=faults,
+        timestep=effects.timestep,
+        visuals=options.view,
+    )
+    return robot, faults, lambda: EmulatorServer(robot, host=host, port=port, slcan=options.slcan)
+
+
+def _network(options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
+    """Return class, wiring and network of a board."""
+    if options.board == "go2":
+        go2 = load_go2(options.wiring)
+        check_go2_network(go2, "lo")
+        return EmulatedGo2, go2, lambda: DdsBus(go2, "lo", robot=True)
+    stock = load_board(options.wiring)
+    check_network(stock, "lo")
+    return EmulatedBoard, stock, lambda: LcmBus(stock, 0)
+
+
+def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
+    name = options.board or DEFAULT_ROBOT
+    made, wiring, open_bus = _network(options)
+    faults = _faults(options, made.kinds)
+    board = made(
+        load_robot(name if effects.robot_model == DEFAULT_ROBOT else effects.robot_model),
+        wiring,
+        settings,
+        effects=_effects(effects, settings, reporter),
+        faults=faults,
+        timestep=TICK if effects.effects is None else effects.timestep,
+        visuals=options.view,
+    )
+    address = f"{name} (on this computer: add --interface lo)"
+    return board, faults, lambda: BoardServer(board, open_bus(), address)
+
+
+def _faults(options: ServeOptions, kinds: tuple[str, ...]) -> list[EmulatedFault]:
+    faults = [parse_fault(text) for text in options.faults]
+    if options.fault_seed is not None:
+        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=kinds))
+    return faults
+
+
+def _effects(effects: EffectsSettings, settings: EmulateSettings, reporter: Reporter) -> EffectSet | None:
+    """Return the effects that a robot in the air or on its feet has; None without a file."""
+    if effects.effects is None:
+        return None
+    if settings.suspended:
+        return read_effects(Path(effects.effects))
+    warn_of_stand_effects(effects, reporter)
+    return read_standing(Path(effects.effects))
+
+
+@contextmanager
+def _until_signal() -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether Ctrl-C or SIGTERM has come."""
+    came: list[int] = []
+    before = {n: signal.signal(n, lambda n, _: came.append(n)) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class _Viewer:
+    """MuJoCo's viewer of the running emulation."""
+
+    def __init__(self, model: Any, data: Any) -> None:
+        from mimic.view.scene.viewer import display_available
+
+        if not display_available():
+            raise ConfigError("--view needs a display, and there is none here")
+        import mujoco.viewer
+
+        if not model.nlight:  # hung up there is no scene around the robot
+            model.vis.headlight.ambient[:] = 0.4
+            model.vis.headlight.diffuse[:] = 0.7
+        before = set(threading.enumerate())
+        self._handle = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
+        self._next = 0.0
+
+    def open(self) -> bool:
+        return self._handle.is_running()
+
+    def close(self) -> None:
+        self._handle.close()
+        for thread in self._threads:  # its window must be gone before the process ends, or that ends in a crash
+            thread.join(CLOSE_TIMEOUT)
+
+    def show(self) -> None:
+        if time.monotonic() >= self._next:
+            self._next = time.monotonic() + FRAME_INTERVAL
+            self._handle.sync()
