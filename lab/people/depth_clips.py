@@ -28,8 +28,8 @@ from lab.people.arm_motions import FAMILIES, KEPT_ASIDE, TUNING, Rng, motion_of
 from lab.people.scene import Shot, build_scene, text
 from lab.people.skeleton import TRUTH_NAMES, Build, pose
 from lab.people.surface import Array, mesh_of
-from mimic.sources.video.blazepose import BlazePose
-from mimic.sources.video.pose_model import pose_model
+from mimic.sources.video.pose_models.blazepose import BlazePose
+from mimic.sources.video.pose_models.pose_model import pose_model
 
 COARSE = 2.0
 """The meshes have cells this much larger than those of the example videos."""

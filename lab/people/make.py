@@ -56,8 +56,8 @@ def contact_sheet(film: Film, frames: list[int], columns: int) -> np.ndarray:
 
 def check(video: Path, joints: Array) -> dict[str, float]:
     """Track a clip with BlazePose and compare the wrists, from their own shoulders, with the truth."""
-    from mimic.sources.video.blazepose import BlazePose
-    from mimic.sources.video.pose_model import pose_model
+    from mimic.sources.video.pose_models.blazepose import BlazePose
+    from mimic.sources.video.pose_models.pose_model import pose_model
 
     ids = {"shoulderL": 11, "shoulderR": 12, "wristL": 15, "wristR": 16, "hipL": 23, "hipR": 24}
     rows: list[Array] = []

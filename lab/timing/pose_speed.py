@@ -22,9 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 from mimic.retargeting.wrists import wrist_track
-from mimic.sources.video.blazepose import BlazePose
 from mimic.sources.video.decoding import open_video
-from mimic.sources.video.pose_model import pose_model
+from mimic.sources.video.pose_models.blazepose import BlazePose
+from mimic.sources.video.pose_models.pose_model import pose_model
 from mimic.sources.video.video import track_video
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"

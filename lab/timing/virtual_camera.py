@@ -25,11 +25,11 @@ from mimic.retargeting.targets import target_track
 from mimic.retargeting.wrists import wrist_track
 from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
-from mimic.sources.video.blazepose import BlazePose
 from mimic.sources.video.decoding import open_video
 from mimic.sources.video.depth import LiveDepth
 from mimic.sources.video.left_right import LiveSides, swap_sides
-from mimic.sources.video.pose_model import pose_model
+from mimic.sources.video.pose_models.blazepose import BlazePose
+from mimic.sources.video.pose_models.pose_model import pose_model
 from mimic.sources.video.screening import person_rows
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "videos"

@@ -81,7 +81,7 @@ def fix_of_opencv() -> str:
 
 
 def _pose_model() -> Finding:
-    from mimic.sources.video.pose_model import is_here
+    from mimic.sources.video.pose_models.pose_model import is_here
 
     if is_here():
         return Finding(name="pose model", ok=True, text="on this computer")

@@ -115,7 +115,7 @@ def train(
         ConfigError: If the device is not there.
     """
     try:
-        from mimic.train.learn import train as learn_policy
+        from mimic.train.learning.learn import train as learn_policy
     except ModuleNotFoundError as missing:
         raise MissingExtra(str(missing.name), "train") from None
     mdp = mdp or MdpSettings()

@@ -20,7 +20,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from mimic.dynamics.cuda_graphs import Replayed
-from mimic.train.mirror import mirrored_actions, mirrored_observations
+from mimic.train.learning.mirror import mirrored_actions, mirrored_observations
 
 RATE_RANGE = (1e-5, 1e-2)
 """Bounds of the adaptive learning rate, those of rsl_rl."""

@@ -56,7 +56,7 @@ def policy(request, description, tmp_path) -> Path:
     if request.param == "as shipped":
         return path
     contract = dataclasses.replace(load_policy(None, description).contract, interpolate=False, clock_fade=0.0)
-    onnx, onnx_file = pytest.importorskip("onnx"), pytest.importorskip("mimic.train.onnx_file")
+    onnx, onnx_file = pytest.importorskip("onnx"), pytest.importorskip("mimic.train.learning.onnx_file")
     onnx_file.write_policy(onnx.load(str(path)), contract, description, tmp_path / "other.onnx")
     return tmp_path / "other.onnx"
 

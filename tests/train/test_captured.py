@@ -14,9 +14,9 @@ from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 
 from mimic.robot.description import load_description  # noqa: E402
-from mimic.train.learn import runner_config  # noqa: E402
-from mimic.train.learn import train as train_robot  # noqa: E402
-from mimic.train.mirror import mirrored_actions, mirrored_observations  # noqa: E402
+from mimic.train.learning.learn import runner_config  # noqa: E402
+from mimic.train.learning.learn import train as train_robot  # noqa: E402
+from mimic.train.learning.mirror import mirrored_actions, mirrored_observations  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 train = partial(train_robot, description=load_description("cyberdog2"))

@@ -17,7 +17,7 @@ for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
 from mimic.robot.description import load_description  # noqa: E402
 from mimic.train import starts  # noqa: E402
-from mimic.train.learn import train as train_robot  # noqa: E402
+from mimic.train.learning.learn import train as train_robot  # noqa: E402
 from mimic.train.sit_down import SitDownEnv  # noqa: E402
 from mimic.train.starts import SHARES, SitDownStarts, recorded_states  # noqa: E402
 from mimic.train.weights import REWARD_SCALE, SIT_DOWN  # noqa: E402

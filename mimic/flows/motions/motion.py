@@ -488,7 +488,7 @@ def fetch_pose_model(settings: PoseSettings, reporter: Reporter, check: Callable
         SourceError: From ``check``.
         AssetError: If that is not possible, or another model was given and is none.
     """
-    from mimic.sources.video.pose_model import is_here, pose_model
+    from mimic.sources.video.pose_models.pose_model import is_here, pose_model
 
     if is_here(settings.pose_model):
         return

@@ -27,7 +27,7 @@ from mimic.io.reading import existing
 from mimic.records import BoolArray, FloatArray
 from mimic.sources.video.decoding import Frame, check_video, open_video, picture_size, square
 from mimic.sources.video.left_right import LiveSides, swap_sides
-from mimic.sources.video.pose_model import pose_model
+from mimic.sources.video.pose_models.pose_model import pose_model
 from mimic.sources.video.quiet import quiet_stderr
 from mimic.sources.video.screening import person_rows
 from mimic.sources.video.shots import clothes_colour
@@ -256,9 +256,9 @@ def _run_camera(
     previews, low_priority = options
     if low_priority:
         os.nice(LOW_PRIORITY)
-    from mimic.sources.video.blazepose import BlazePose, Everybody
     from mimic.sources.video.depth import LiveDepth
     from mimic.sources.video.people import People
+    from mimic.sources.video.pose_models.blazepose import BlazePose, Everybody
 
     latest = _LatestFrame()
     depth = LiveDepth() if pose.depth else None

@@ -17,7 +17,7 @@ import numpy as np
 
 from mimic.errors import SourceError
 from mimic.records import SHOULDERS, WRISTS, BoolArray, FloatArray, IntArray
-from mimic.sources.video.blazepose import Everybody
+from mimic.sources.video.pose_models.blazepose import Everybody
 from mimic.sources.video.screening import trunk_of
 from mimic.sources.video.shots import OTHER_COLOUR, clothes_colour
 

@@ -16,11 +16,11 @@ from mimic.config.pose import PoseSettings
 from mimic.errors import SourceError
 from mimic.io.store import plain, sha256_of
 from mimic.records import BoolArray, FloatArray, PoseTrack
-from mimic.sources.video.blazepose import BlazePose, Everybody
 from mimic.sources.video.decoding import Video, missing_bytes, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
-from mimic.sources.video.pose_model import BUNDLE, pose_model
+from mimic.sources.video.pose_models.blazepose import BlazePose, Everybody
+from mimic.sources.video.pose_models.pose_model import BUNDLE, pose_model
 from mimic.sources.video.screening import is_invented, jump_share, person_rows, posture
 from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
 

@@ -21,9 +21,9 @@ from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 
 from mimic.robot.description import load_description  # noqa: E402
 from mimic.train.contract import make_contract  # noqa: E402
-from mimic.train.learn import runner_config, settings_text  # noqa: E402
-from mimic.train.learn import train as train_robot  # noqa: E402
-from mimic.train.runner import TrainingDiverged  # noqa: E402
+from mimic.train.learning.learn import runner_config, settings_text  # noqa: E402
+from mimic.train.learning.learn import train as train_robot  # noqa: E402
+from mimic.train.learning.runner import TrainingDiverged  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 train = partial(train_robot, description=load_description("cyberdog2"))

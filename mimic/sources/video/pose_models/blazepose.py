@@ -33,7 +33,7 @@ class _Landmarker:
     most = 1
 
     def __init__(self, model: Path) -> None:
-        """Take the bundle of models that `mimic.sources.video.pose_model` returns."""
+        """Take the bundle of models that `mimic.sources.video.pose_models.pose_model` returns."""
         self._model = model
         self._frames = 0
         self._seen = False

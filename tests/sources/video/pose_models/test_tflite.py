@@ -7,8 +7,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from mimic.sources.video.pose_model import pose_model
-from mimic.sources.video.tflite import with_normalisation
+from mimic.sources.video.pose_models.pose_model import pose_model
+from mimic.sources.video.pose_models.tflite import with_normalisation
 
 tflite = pytest.importorskip("mediapipe.tasks.metadata.schema_py_generated")
 metadata = pytest.importorskip("mediapipe.tasks.metadata.metadata_schema_py_generated")

@@ -18,11 +18,11 @@ from mimic.errors import ConfigError
 from mimic.io.store import plain, written_whole
 from mimic.robot.description import RobotDescription
 from mimic.train.contract import make_contract
-from mimic.train.onnx_file import export_network
-from mimic.train.runner import QuietLogger, Report, ResumableRunner, TimeIsUp, own_device, processes, rank
+from mimic.train.learning.onnx_file import export_network
+from mimic.train.learning.runner import QuietLogger, Report, ResumableRunner, TimeIsUp, own_device, processes, rank
+from mimic.train.learning.warm_start import take_over
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
-from mimic.train.warm_start import take_over
 
 WORLDS = "worlds_{}.pt"
 """File of the worlds of a process at the end of a session, beside last.pt; without it worlds begin anew."""

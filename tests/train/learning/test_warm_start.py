@@ -16,7 +16,7 @@ for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
 
 from mimic.robot.description import load_description  # noqa: E402
-from mimic.train.learn import train as train_robot  # noqa: E402
+from mimic.train.learning.learn import train as train_robot  # noqa: E402
 
 train = partial(train_robot, description=load_description("cyberdog2"))
 

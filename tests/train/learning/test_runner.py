@@ -16,9 +16,9 @@ for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
 from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 
 from mimic.robot.description import load_description  # noqa: E402
-from mimic.train import learn  # noqa: E402
-from mimic.train.learn import runner_config  # noqa: E402
-from mimic.train.runner import ResumableRunner, own_device, rank  # noqa: E402
+from mimic.train.learning import learn  # noqa: E402
+from mimic.train.learning.learn import runner_config  # noqa: E402
+from mimic.train.learning.runner import ResumableRunner, own_device, rank  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 together = pytest.mark.skipif(

@@ -12,7 +12,7 @@ from mimic.simulation.plant import SimulatedPlant
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 from mimic.config.training import MdpSettings  # noqa: E402
 from mimic.train.contract import make_contract  # noqa: E402
-from mimic.train.mirror import mirrored_actions, mirrored_observations  # noqa: E402
+from mimic.train.learning.mirror import mirrored_actions, mirrored_observations  # noqa: E402
 
 
 def mirrored_arms(rows: np.ndarray) -> np.ndarray:

@@ -12,8 +12,8 @@ import pytest
 
 from mimic.errors import AssetError
 from mimic.io.assets import user_cache
-from mimic.sources.video.blazepose import BlazePose
-from mimic.sources.video.pose_model import BUNDLE, MODELS, WHEEL, is_here, pose_model
+from mimic.sources.video.pose_models.blazepose import BlazePose
+from mimic.sources.video.pose_models.pose_model import BUNDLE, MODELS, WHEEL, is_here, pose_model
 
 
 @pytest.fixture(scope="module")

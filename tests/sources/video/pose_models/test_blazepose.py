@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from mimic.sources.video.blazepose import BlazePose
-from mimic.sources.video.pose_model import pose_model
+from mimic.sources.video.pose_models.blazepose import BlazePose
+from mimic.sources.video.pose_models.pose_model import pose_model
 
-WAVING = Path(__file__).parents[3] / "examples" / "videos" / "waving.mp4"
+WAVING = Path(__file__).parents[4] / "examples" / "videos" / "waving.mp4"
 
 
 @pytest.fixture(scope="module")

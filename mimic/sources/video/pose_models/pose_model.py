@@ -21,8 +21,8 @@ from pathlib import Path
 from mimic.errors import AssetError
 from mimic.io.assets import user_cache
 from mimic.io.store import written_whole
+from mimic.sources.video.pose_models.tflite import ALIGNMENT, with_normalisation
 from mimic.sources.video.registry import RegistryError, download
-from mimic.sources.video.tflite import ALIGNMENT, with_normalisation
 
 Progress = Callable[[int, int | None], None]
 """Takes the megabytes done, and their total where it is known."""

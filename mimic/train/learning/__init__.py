@@ -1,0 +1,1 @@
+"""PPO: updates, checkpoints, what a training begins with, and the network as a file."""
