@@ -25,8 +25,8 @@ def asked(monkeypatch, tmp_path) -> list[tuple[tuple, dict]]:
     for flow in (
         "play.play_source",
         "play.save_targets",
-        "calibrate.calibrate",
-        "machine_log.predict_log",
+        "logs.calibrate.calibrate",
+        "logs.machine_log.predict_log",
         "train.train",
     ):
         monkeypatch.setattr(f"mimic.flows.{flow}", reached)

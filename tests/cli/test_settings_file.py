@@ -22,7 +22,7 @@ def asked(monkeypatch, tmp_path) -> list[tuple[tuple, dict]]:
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
-    for flow in ("play.play_source", "play.save_targets", "robot_run.play_on_robot"):
+    for flow in ("play.play_source", "play.save_targets", "robot.robot_run.play_on_robot"):
         monkeypatch.setattr(f"mimic.flows.{flow}", reached)
     return calls
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mimic.emulator import board, go2
+from mimic.emulator.boards import board, go2
 from mimic.emulator.faults import BOARD_ONLY, CAN_KINDS, KINDS, MISWIRED, EmulatedFault, parse_fault, random_fault
 from mimic.errors import ConfigError
 from mimic.records import JOINTS
