@@ -83,7 +83,7 @@ def test_a_short_log_is_explained(shell):
     done = shell.mimic("calibrate", "log.parquet", *model, "--out", "found")
     assert done.status == 0, done.said
     found = json.loads((folder / "found" / "calibration.json").read_text())
-    assert found["found"] == ["spring"]
+    assert [one["name"] for one in found["found"]] == ["spring"]
     before, after = (found["errors"][which]["held_out"]["all"] for which in ("baseline", "final"))
     assert after < 0.5 * before
     shell.figures.append(f"a hidden spring: held-out error {1e3 * before:.2f} to {1e3 * after:.2f} mrad")
