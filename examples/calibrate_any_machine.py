@@ -49,7 +49,7 @@ def main(folder: str | Path | None = None) -> None:
 
     print(result.sentence)
     for effect in result.effects:
-        print(effect.name, {name: value.tolist() for name, value in effect.values.items()})
+        print(effect.name, {name: value.round(3).tolist() for name, value in effect.values.items()})
     print(f"report: {out / 'report.html'}")
 
 

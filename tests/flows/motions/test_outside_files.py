@@ -760,7 +760,7 @@ def test_models_that_say_the_same_machine_are_the_same_machine(name):
 @pytest.mark.slow  # 3 s a model
 def test_models_that_say_the_same_machine_predict_the_same():
     log = outside("one_joint.csv", "outside_2")
-    found = [predict_log(log, model=outside(name, "outside_2"), threads=1) for name in SAME_MACHINE]
+    found = [predict_log(log, model=outside(name, "outside_2")) for name in SAME_MACHINE]
     assert len({predicted.errors["as given"]["all"] for predicted in found}) == 1
 
 
