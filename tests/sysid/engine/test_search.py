@@ -63,7 +63,7 @@ def test_nothing_is_found_where_nothing_is_hidden(pair, log_of):
 
 def test_a_constant_torque_is_a_pull_or_a_difference_of_friction(pair, log_of):
     outcome = found([log_of(pair, ONE_WAY)], pair)
-    explanations = {outcome.best.model.effects, *dict(outcome.ties)}
+    explanations = {outcome.best.model.effects, *(tied.effects for tied, _ in outcome.ties)}
     assert explanations >= {(("asymmetric_friction", (0,)),), (("spring", (0,)),)}
 
 
