@@ -29,7 +29,10 @@ from mimic.robot.description import RobotDescription
 CUTS = ("bus_off", "unplugged", "motor_deaf", "stalled", "frames_lost", "frames_late", "frames_corrupted")
 """Faults that can keep a motor from hearing anybody; without a timeout of its own it then goes on."""
 
-UNREACHABLE = ("refuses_frames", "fails", "adapter_out", "sends_nothing", "flaps", "clock_stands", "drops", "delays")
+NO_FRAMES = ("refuses_frames", "fails", "adapter_out", "sends_nothing")
+"""Faults of others while which no frame reaches a motor."""
+
+UNREACHABLE = (*NO_FRAMES, "flaps", "clock_stands", "drops", "delays")
 """Faults of others while which frames may not reach a motor."""
 
 ANSWERS = "answers"
@@ -212,7 +215,7 @@ class CanScene:
 
     def reachable(self) -> bool:
         lost = self._fault is not None and self._fault.kind in CUTS and np.isinf(self._fault.until)
-        return self._own_timeout or not lost
+        return self._own_timeout or not (lost or self.trouble.doing(*NO_FRAMES))
 
     def actable(self, t: float) -> float:
         """Return from when on, after a time [s], somebody can reach all motors; infinite for never."""

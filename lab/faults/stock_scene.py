@@ -31,6 +31,9 @@ Way = tuple[bool, str]
 CUTS = ("cuts", "flaps", "sends_nothing", "drops", "delays")
 """Faults of the network while which messages may not reach the board."""
 
+OBEYS = (*CUTS, "master_commands")
+"""These, and another program, which the board obeys as long as it speaks."""
+
 
 class BoardScene:
     """An emulated robot with a motion board, and what is between it and its driver."""
@@ -120,7 +123,7 @@ class BoardScene:
 
     def actable(self, t: float) -> float:
         """Return from when on, after a time [s], somebody can reach the board; infinite for never."""
-        if self.trouble.kind in CUTS and t >= self.trouble.begin:
+        if self.trouble.kind in OBEYS and t >= self.trouble.begin:
             return max(t, self.trouble.end)
         cuts = ("bus_off", "frames_lost", "frames_late", "frames_corrupted")
         ends = [fault.until for fault in self.board.faults if fault.kind in cuts and fault.start <= t]
@@ -128,7 +131,7 @@ class BoardScene:
 
     def reachable(self) -> bool:
         """Return whether no other program still commands the robot, which obeys whoever sends, and messages pass."""
-        return not self.trouble.doing("master_commands") and self.actable(self.now()) <= self.now()
+        return self.actable(self.now()) <= self.now()
 
     def false_line(self) -> bool:
         """Return whether the last line is not true."""
