@@ -18,7 +18,7 @@ import numpy as np
 from lab.stock_firmware.firmware import Bench
 from mimic.emulator.motor_mode import MotorModeRules
 from mimic.hardware.stock.messages import MOTOR_CTRL, MOTOR_CTRL_STATE, SPI_DATA, TIMED_OUT, define
-from mimic.hardware.stock.wiring import PARTS, load_board
+from mimic.hardware.stock.wiring import load_board
 from mimic.io.assets import shipped
 from mimic.robot.description import load_description
 
@@ -135,7 +135,7 @@ def compare(folder: Path, work: Path) -> dict[str, Any]:
     before: tuple[Any, Any] | None = None  # which joints were at a soft limit in the last cycle, and their torques
 
     def by_joint(message: Any, name: str) -> Any:
-        return np.stack([message[f"{name}_{part}"] for part in PARTS], axis=1).reshape(12).astype(float)
+        return np.stack([message[f"{name}_{part}"] for part in ("abad", "hip", "knee")], axis=1).reshape(12).astype(float)
 
     for t, spi, state, told in cycles(heard):
         age = 1e-3 * float(state["ctrl_topic_interval"])
