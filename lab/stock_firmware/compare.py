@@ -135,7 +135,8 @@ def compare(folder: Path, work: Path) -> dict[str, Any]:
     before: tuple[Any, Any] | None = None  # which joints were at a soft limit in the last cycle, and their torques
 
     def by_joint(message: Any, name: str) -> Any:
-        return np.stack([message[f"{name}_{part}"] for part in ("abad", "hip", "knee")], axis=1).reshape(12).astype(float)
+        parts = [message[f"{name}_{part}"] for part in ("abad", "hip", "knee")]
+        return np.stack(parts, axis=1).reshape(12).astype(float)
 
     for t, spi, state, told in cycles(heard):
         age = 1e-3 * float(state["ctrl_topic_interval"])
