@@ -27,7 +27,7 @@ from lab.faults.proxies import LcmProxy, TcpProxy, wiring_through
 from lab.faults.trouble import CASES, logged, stood
 from mimic.control.recorder import ROWS, salvage
 from mimic.emulator.faults import EmulatedFault, random_fault
-from mimic.hardware.can.python_can import open_link
+from mimic.hardware.can.opening import open_link
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
 from mimic.hardware.motors.cybergear.parameters import Kind
 from mimic.hardware.motors.interface import MotorCommand

@@ -21,7 +21,7 @@ from mimic.config.emulator import EmulateSettings
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.hardware.can.frame import CanFrame, Link
-from mimic.hardware.can.python_can import open_link
+from mimic.hardware.can.opening import open_link
 from mimic.hardware.can.wiring import Wiring, load_wiring
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
 from mimic.hardware.motors.cybergear.parameters import Kind

@@ -57,7 +57,7 @@ def open_session(bus_url: str, settings: WiringSettings, *, zeros: bool, locked:
     """Open buses, and close them at the end; meanwhile no other program of mimic may use them.
 
     Args:
-        bus_url: The buses; see `mimic.hardware.can.python_can`.
+        bus_url: The buses; see `mimic.hardware.can.opening`.
         settings: Wiring.
         zeros: Whether to read the zeros of this power-up; without them angles are as the wiring has them.
         locked: Take the locks of the buses; not for who only listens.

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from mimic.cli import main
-from mimic.hardware.can.python_can import open_link
+from mimic.hardware.can.opening import open_link
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
 from mimic.hardware.motors.cybergear.parameters import Kind
 from mimic.hardware.motors.interface import Feedback

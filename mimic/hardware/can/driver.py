@@ -339,14 +339,14 @@ def open_buses(bus_url: str, wiring: Wiring, *, quick: bool = False) -> Link:
     """Open the buses of a robot.
 
     Args:
-        bus_url: See `mimic.hardware.can.python_can`.
+        bus_url: See `mimic.hardware.can.opening`.
         wiring: For the bit rate.
         quick: One attempt, and no time for an adapter to start up.
 
     Raises:
         ConfigError, BusError: If that is not possible.
     """
-    from mimic.hardware.can.python_can import open_link
+    from mimic.hardware.can.opening import open_link
 
     for _ in range(0 if quick else OPEN_TRIES - 1):
         try:

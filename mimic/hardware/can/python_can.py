@@ -1,15 +1,7 @@
-"""Opens buses by python-can, from the URL that the user gives.
+"""Frames of the buses of python-can, whichever of them comes first; `mimic.hardware.can.opening` opens them.
 
-    can0                            SocketCAN, the kernel's interfaces
-    can0,can1                       several buses, in this order
-    slcan:/dev/ttyACM0              serial adapter
-    socketcand://127.0.0.1:PORT/can0
-    virtual:NAME                    inside one process
-    pcan:PCAN_USBBUS1               any other interface of python-can and its channel
-
-Works around four limits of python-can 4.6.1: a socketcand server that died is an error; a server that never answers is
-given up; a closed port is reported at once instead of after ten seconds; slcan reads byte by byte, and waits until each
-frame has left.
+Works around two limits of python-can 4.6.1: a socketcand server that died is an error; slcan reads byte by byte, and
+waits until each frame has left.
 """
 
 from __future__ import annotations
@@ -22,33 +14,18 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
-from urllib.parse import urlsplit
+from collections.abc import Callable
 
 import can
-import can.interfaces.socketcan
-import can.interfaces.socketcand  # the first bus opens quickly then
 import serial
 from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
 
-from mimic.errors import BusError, ConfigError, FrameError, MimicError
+from mimic.errors import BusError, FrameError, MimicError
 from mimic.hardware.can.frame import CanFrame, Received
-
-ANSWER_WITHIN = 2.0
-"""A server that does not answer within this is given up [s]."""
 
 SEND_WITHIN = 0.01
 """An adapter that does not take a frame within this has failed [s]."""
-
-SHAKE_FOR = 5.0
-"""How long handshakes of socketcand are tried [s]: on a busy bus a frame can come right after an answer, which
-python-can refuses. On a loaded computer three of three tries failed."""
-
-START_UP = 2.0
-"""What a serial adapter gets to start up in [s], as in python-can."""
 
 _FULL = 60
 """Times that a full queue is tried. SocketCAN queues ten frames unless told otherwise, and twelve commands come at
@@ -64,8 +41,6 @@ _LINE = re.compile(rb"[^\r\a]*[\r\a]")
 
 _CAN_ERR_BUSOFF = 0x40
 """Class of an error frame. Source: Linux include/uapi/linux/can/error.h."""
-
-FORMS = "can0; slcan:/dev/ttyACM0; socketcand://HOST:PORT/can0; several with commas"
 
 
 _OPENING = {
@@ -101,7 +76,7 @@ def explain(reason: BaseException) -> str:
     return _OPENING.get(error_number(reason) or 0, first_line(reason))
 
 
-class _Slcan(slcanBus):
+class Slcan(slcanBus):
     """Reads all that is there at once: python-can takes 1 ms for a dozen frames of a motor, byte by byte."""
 
     def _read(self, timeout: float | None) -> str | None:
@@ -124,7 +99,7 @@ class _Slcan(slcanBus):
             self.serialPortOrig.write(string.encode() + self.LINE_TERMINATOR)
 
 
-class _Port:
+class Port:
     """One bus of python-can."""
 
     def __init__(self, name: str, bus: can.BusABC, sock: socket.socket | None, *, ready: bool) -> None:
@@ -144,6 +119,7 @@ class _Port:
         self.file: int | None = sock.fileno() if sock is not None else _fileno(bus)
 
     def send(self, frame: CanFrame) -> None:
+        """Hand a frame to the bus."""
         message = can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, check=False)
         for left in reversed(range(_FULL)):
             try:
@@ -189,6 +165,7 @@ class _Port:
             raise BusError(f"{self.name} has closed the connection")
 
     def close(self) -> None:
+        """Let go of the bus."""
         try:
             self._bus.shutdown()
         except Exception:  # drivers raise classes of their own
@@ -219,10 +196,10 @@ class _Closed:
 class CanLink:
     """Buses of python-can and the computer's monotonic clock. See `mimic.hardware.can.frame.Link`."""
 
-    def __init__(self, ports: list[_Port], bitrate: int) -> None:
-        """Take open buses, and the bit rate with which one is opened again [bit/s]."""
-        self._ports: list[_Port | _Closed] = [*ports]
-        self._bitrate = bitrate
+    def __init__(self, ports: list[Port], open_again: Callable[[str], Port]) -> None:
+        """Take open buses, and what opens one of them again by its name."""
+        self._ports: list[Port | _Closed] = [*ports]
+        self._opened = open_again
         self._next = 0
         self._closed = False
         self.wake: int | None = None
@@ -290,11 +267,11 @@ class CanLink:
             self._ports[bus] = _Closed(old.name)
             threading.Thread(target=self._open_again, args=(bus, old), daemon=True).start()
 
-    def _open_again(self, bus: int, old: _Port | _Closed) -> None:
+    def _open_again(self, bus: int, old: Port | _Closed) -> None:
         old.close()
-        made: _Port | _Closed
+        made: Port | _Closed
         try:
-            made = _open(old.name, self._bitrate, quick=True)
+            made = self._opened(old.name)
         except MimicError as reason:
             made = _Closed(old.name, str(reason))
         self._ports[bus] = made
@@ -307,126 +284,6 @@ class CanLink:
             self._closed = True
             for port in self._ports:
                 port.close()
-
-
-def open_link(bus_url: str, *, bitrate: int = 1_000_000, quick: bool = False) -> CanLink:
-    """Open buses.
-
-    Args:
-        bus_url: One bus, or several separated by commas; the forms are above.
-        bitrate: For adapters that need one [bit/s]; SocketCAN has its own from ``ip link``.
-        quick: Do not give a serial adapter two seconds to start up: it was in use a moment ago.
-
-    Raises:
-        ConfigError: If a bus has none of the forms.
-        BusError: If a bus does not exist or does not answer.
-    """
-    names = [word.strip() for word in bus_url.split(",")]
-    if len(set(names)) < len(names) or "" in names:
-        raise ConfigError(f"the buses are {bus_url!r}; expected different ones, such as {FORMS}")
-    logging.getLogger("can").setLevel(logging.CRITICAL)  # it logs tracebacks of what is raised here as one sentence
-    ports: list[_Port] = []
-    try:
-        for name in names:
-            ports.append(_open(name, bitrate, quick=quick))
-    except BaseException:
-        CanLink(ports, bitrate).close()
-        raise
-    return CanLink(ports, bitrate)
-
-
-def _open(name: str, bitrate: int, *, quick: bool) -> _Port:
-    scheme, colon, rest = name.partition(":")
-    try:
-        if not colon:
-            return _socketcan(name)
-        if scheme == "socketcand":
-            return _socketcand(name)
-        if scheme == "slcan" and rest:
-            if "://" in rest:
-                raise ConfigError(f"{name!r} is not a bus; expected {FORMS}")
-            pause = 0 if quick else START_UP
-            bus = _Slcan(rest, bitrate=bitrate, timeout=0, sleep_after_open=pause)
-            return _Port(name, bus, None, ready=False)
-        if scheme in can.VALID_INTERFACES and rest and not rest.startswith("//"):
-            bus = can.Bus(interface=scheme, channel=rest, bitrate=bitrate, ignore_config=True)
-            return _Port(name, bus, None, ready=False)
-    except MimicError:
-        raise
-    except Exception as reason:  # drivers raise classes of their own
-        raise BusError(f"{name} cannot be opened: {explain(reason)}") from None
-    raise ConfigError(f"{name!r} is not a bus; expected {FORMS}, or another interface of python-can")
-
-
-def _socketcan(name: str) -> _Port:
-    if not re.fullmatch(r"[A-Za-z0-9_.-]{1,15}", name):
-        raise ConfigError(f"{name!r} is not a bus; expected {FORMS}")
-    try:
-        return _Port(name, can.Bus(interface="socketcan", channel=name, ignore_config=True), None, ready=True)
-    except OSError as reason:
-        if reason.errno == errno.EAFNOSUPPORT:
-            raise BusError(f"{name} cannot be opened: this machine's kernel has no CAN; expected {FORMS}") from None
-        if reason.errno == errno.ENODEV:
-            raise BusError(
-                f"there is no CAN interface {name}; plug the adapter in and bring it up, such as with: "
-                f"ip link set {name} up type can bitrate 1000000"
-            ) from None
-        raise
-
-
-def _socketcand(name: str) -> _Port:
-    url = urlsplit(name)
-    host, port = _address(name)
-    channel = url.path.strip("/")
-    if not channel:
-        raise ConfigError(f"{name} names no bus of that server; expected socketcand://HOST:PORT/can0")
-    _knock(name, host, port)
-    options: dict[str, Any] = {"channel": channel, "host": host, "port": port, "tcp_tune": True, "ignore_config": True}
-    with _giving_up():
-        end = time.monotonic() + SHAKE_FOR
-        while True:
-            try:
-                bus = can.Bus(interface="socketcand", **options)
-                return _Port(name, bus, getattr(bus, "_SocketCanDaemonBus__socket", None), ready=False)
-            except can.CanError as reason:
-                if "< frame" not in str(reason):
-                    raise
-                if time.monotonic() > end:
-                    problem = "frames of the bus come between the answers of its server"
-                    raise BusError(f"{name} cannot be opened: {problem}; is this computer busy?") from None
-
-
-def _address(name: str) -> tuple[str, int]:
-    url = urlsplit(name)
-    try:
-        host = url.hostname
-        port = url.port
-    except ValueError as reason:
-        raise ConfigError(f"{name} has no usable port: {reason}") from None
-    if not host or not port:
-        raise ConfigError(f"{name} lacks host or port; expected such as 127.0.0.1:29536")
-    return host, port
-
-
-def _knock(name: str, host: str, port: int) -> None:
-    """Raise at once if nobody listens; python-can would try for ten seconds."""
-    try:
-        socket.create_connection((host, port), timeout=ANSWER_WITHIN).close()
-    except OSError as reason:
-        raise BusError(
-            f"nobody listens at {host}:{port} ({first_line(reason)}); {name} needs a server, such as mimic emulate"
-        ) from None
-
-
-@contextmanager
-def _giving_up() -> Iterator[None]:
-    """Let sockets made meanwhile give up after a while, in the handshake and later."""
-    before = socket.getdefaulttimeout()
-    socket.setdefaulttimeout(ANSWER_WITHIN)
-    try:
-        yield
-    finally:
-        socket.setdefaulttimeout(before)
 
 
 def _readable(file: int) -> bool:

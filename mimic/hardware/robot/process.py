@@ -78,7 +78,7 @@ def load_driver(settings: DriverSettings) -> Callable[..., Driver]:
         with suppress(ImportError):
             import lcm  # noqa: F401
         return open_stock_driver
-    import mimic.hardware.can.python_can  # noqa: F401
+    import mimic.hardware.can.opening  # noqa: F401
     from mimic.hardware.can.driver import open_can_driver
 
     return open_can_driver

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from mimic.errors import FrameError
-from mimic.hardware.can.python_can import open_link
+from mimic.hardware.can.opening import open_link
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
 from mimic.hardware.motors.interface import Feedback, MotorMode
 from mimic.io import store

@@ -13,15 +13,15 @@ from collections.abc import Callable, Iterator
 
 import can
 import pytest
-import serial
 
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
-from mimic.errors import BusError, ConfigError
+from mimic.errors import BusError
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.can.python_can import CanLink, open_link
+from mimic.hardware.can.opening import open_link
+from mimic.hardware.can.python_can import CanLink
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
 from mimic.hardware.motors.cybergear.parameters import Kind
@@ -165,33 +165,6 @@ def test_a_server_that_goes_away_is_an_error_and_not_silence(kind, served):
     link.close()
 
 
-def test_a_handshake_into_which_frames_of_a_busy_bus_come_is_tried_again():
-    refused = 6
-    with socket.create_server(("127.0.0.1", 0)) as server:
-
-        def serve() -> None:
-            server.accept()[0].close()  # somebody only looks whether anyone listens
-            for number in range(refused + 1):
-                client, _ = server.accept()
-                frame = b"< frame 006 12.830067 0503 >" if number < refused else b""
-                client.sendall(b"< hi >")
-                for _ in ("open", "rawmode"):
-                    if not client.recv(100):
-                        break
-                    client.sendall(b"< ok >" + frame)
-                clients.append(client)
-
-        clients: list[socket.socket] = []
-        thread = threading.Thread(target=serve, daemon=True)
-        thread.start()
-        link = open_link(f"socketcand://127.0.0.1:{server.getsockname()[1]}/can0")
-        thread.join(PATIENCE)
-        assert len(clients) == refused + 1
-        link.close()
-        for client in clients:
-            client.close()
-
-
 def test_a_connection_that_is_reset_is_one_sentence_and_logs_no_traceback(caplog):
     """python-can logs the traceback of each error that it raises."""
     end = threading.Event()
@@ -238,54 +211,11 @@ def _wait_for_failure(link: CanLink) -> None:
         link.receive(0.05)
 
 
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as sock:
-        return sock.getsockname()[1]
-
-
-@pytest.mark.slow
-def test_where_nobody_listens_is_said_at_once():
-    with pytest.raises(BusError, match=r"nobody listens.*mimic emulate"):
-        open_link(f"socketcand://127.0.0.1:{_free_port()}/can0")
-
-
-@pytest.mark.slow
-def test_a_server_that_never_answers_is_given_up():
-    with socket.create_server(("127.0.0.1", 0)) as mute, pytest.raises(BusError, match="cannot be opened"):
-        open_link(f"socketcand://127.0.0.1:{mute.getsockname()[1]}/can0")
-
-
 @pytest.mark.slow
 def test_a_bus_that_the_server_has_not_is_an_error(served):
     address = served().address("socketcand").replace("can0", "can7")
     with pytest.raises(BusError, match="could not open bus"):
         open_link(address)
-
-
-@pytest.mark.parametrize(
-    ("bus_url", "says"),
-    [
-        ("", "expected different ones"),
-        ("can0,", "expected different ones"),
-        ("can0,can0", "expected different ones"),
-        ("my bus", "is not a bus"),
-        ("telepathy:here", "is not a bus"),
-        ("slcan:", "is not a bus"),
-        ("slcan:socket://127.0.0.1:29536", "is not a bus"),
-        ("socketcand://127.0.0.1/can0", "lacks host or port"),
-        ("socketcand://127.0.0.1:99999/can0", "no usable port"),
-        ("socketcand://127.0.0.1:29536", "names no bus"),
-    ],
-)
-def test_a_word_that_names_no_bus_is_refused(bus_url, says):
-    with pytest.raises(ConfigError, match=says):
-        open_link(bus_url)
-
-
-@pytest.mark.parametrize("word", ["slcan:/dev/no_such_adapter", "no_such_can"])
-def test_an_adapter_that_is_not_there_is_an_error(word):
-    with pytest.raises(BusError, match=r"no_such"):
-        open_link(word)
 
 
 @pytest.mark.slow
@@ -411,31 +341,8 @@ def test_an_error_frame_of_a_bus_that_is_off_is_an_error_and_others_are_passed_o
     link.close()
 
 
-@pytest.mark.parametrize(
-    ("number", "advice"),
-    [(errno.EACCES, "no permission; add your user"), (errno.EBUSY, "another program uses it"), (errno.ENOENT, "plug")],
-)
-def test_a_serial_port_that_cannot_be_opened_says_what_to_do(number, advice, monkeypatch):
-    def refuse(*_: object, **__: object) -> None:
-        raise serial.SerialException(number, "could not open port")
-
-    monkeypatch.setattr(serial, "serial_for_url", refuse)
-    with pytest.raises(BusError, match=f"slcan:/dev/ttyACM0 cannot be opened: .*{advice}") as error:
-        open_link("slcan:/dev/ttyACM0")
-    assert "\n" not in str(error.value)
-
-
 def test_a_bus_that_is_down_says_how_to_bring_it_up(socketcan):
     link, _ = socketcan(sends=(can.CanOperationError("Network is down", errno.ENETDOWN),))
     with pytest.raises(BusError, match=r"interface is down; .*ip link set can0 up"):
         link.send(0, CanFrame(1, b""))
     link.close()
-
-
-def test_an_interface_that_is_not_there_says_how_to_bring_it_up(monkeypatch):
-    def missing(**_: object) -> None:
-        raise OSError(errno.ENODEV, "No such device")
-
-    monkeypatch.setattr(can, "Bus", missing)
-    with pytest.raises(BusError, match="ip link set can3 up"):
-        open_link("can3")
