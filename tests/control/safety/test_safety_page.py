@@ -23,7 +23,7 @@ def test_the_page_has_the_rule_of_the_loop():
     assert f"| `{START}` | {START_FINDS} | 2.5 s; 6 s | damp |" in PAGE
 
 
-@pytest.mark.parametrize("robot", ["cyberdog2", "go2"])
-def test_the_page_has_the_limits_of_the_start(robot):
+@pytest.mark.parametrize(("robot", "joints"), [("cyberdog2", 7), ("go2", 8)])
+def test_the_page_has_the_limits_of_the_start(robot, joints):
     start = load_description(robot).start
-    assert (round(np.rad2deg(start.joints)), round(np.rad2deg(start.tilt))) == (5, 6)
+    assert (round(np.rad2deg(start.joints)), round(np.rad2deg(start.tilt))) == (joints, 6)
