@@ -42,7 +42,7 @@ DEPTH = 0.12
 """Standard deviation in depth where the track declares none [m]."""
 TURN_DOUBT = 0.14
 """Standard deviation of the turn found, about each axis [rad]: 14° in all on twelve pairs of calibrated views."""
-STARTS = 8
+STARTS = 4
 """Turns about the vertical from which the best one is sought."""
 
 _PARTS = ("shoulder", "elbow", "wrist", "hip")
@@ -61,7 +61,7 @@ class Fit:
     unlike: float
     """The same over what ACROSS and DEPTH let expect, times its ratio to what is left at the likest of other times.
 
-    Source: 36 pairs of calibrated views of three people, and 105 of different motions (lab/results/depth.md).
+    Source: 36 pairs of calibrated views of three people, and 116 of different motions (lab/results/depth.md).
     """
 
     @property
