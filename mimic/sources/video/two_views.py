@@ -23,7 +23,7 @@ LATEST = 2.0
 DELAYS = 8
 """Delays that are tried."""
 NEAR = 15.0
-"""Cameras that look along lines closer than this show no depth to each other [deg]; 18° was the least that was tried."""
+"""Cameras that look along lines closer than this show no depth to each other [deg]; 18° was the least tried."""
 ALIKE = 0.7
 """Above this a second view is not used: those of one motion have up to 0.66, those of other ones 0.71 and more."""
 UNLIKE = 0.9
@@ -211,7 +211,7 @@ def _apart(seen: _Lines, other: _Lines, turn: FloatArray) -> float:
 
 
 def _by_chance(seen: _Lines, other: _Lines) -> float:
-    """Return what is left as in `_turn` if the other view runs backwards or is shifted in a circle, the least of all."""
+    """Return what is left as in `_turn` if the other view runs backwards or is shifted in a circle, the least."""
     rows = np.flatnonzero((seen.valid & other.valid).any(axis=1))
     orders = [rows[::-1], *(np.roll(rows, part * len(rows) // SHIFTS) for part in range(1, SHIFTS))]
     return min(_turn(_rows(seen, rows), _rows(other, order))[1] for order in orders)
