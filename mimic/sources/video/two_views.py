@@ -25,7 +25,7 @@ DELAYS = 8
 NEAR = 15.0
 """Cameras that look along lines closer than this show no depth to each other [deg]; 18° was the least tried."""
 ALIKE = 0.7
-"""Above this a second view is not used: those of one motion have up to 0.66, those of other ones 0.71 and more."""
+"""Above this a second view is not used: those of one motion have up to 0.67, those of other ones 0.71 and more."""
 UNLIKE = 0.9
 """Above this it shows another motion; a view with an arm that hides another, or of people who sit still, has less."""
 FAR = 3.0
