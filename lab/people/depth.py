@@ -99,6 +99,12 @@ def targets_apart(seen: PoseTrack, true: PoseTrack, reach: Reach) -> float:
     return 100 * float(np.linalg.norm(one.p_BE - other.p_BE, axis=-1)[one.valid & other.valid].mean())
 
 
+def played_apart(seen: PoseTrack, true: PoseTrack, reach: Reach) -> float:
+    """Return the same at all times at which the truth is known: an arm that is not shown counts as it is played."""
+    one, other = (target_track(wrist_track(track, STILL), reach, STILL) for track in (seen, true))
+    return 100 * float(np.linalg.norm(one.p_BE - other.p_BE, axis=-1)[other.valid].mean())
+
+
 def depth_errors(seen: PoseTrack, true: PoseTrack) -> tuple[np.ndarray, np.ndarray]:
     """Return what is declared of each wrist's depth from its shoulder and its error (N,) [cm]."""
     declared = seen.depth_spread
@@ -130,14 +136,16 @@ def two_views(views: dict[str, tuple[PoseTrack, PoseTrack]], reach: Reach) -> No
     print("|---" * (len(views) + 2) + "|")
     errors = []
     for name, (seen, true) in views.items():
-        cells = [f"{targets_apart(seen, true, reach):.1f} cm"]
+        cells = [f"{played_apart(seen, true, reach):.1f} cm"]
         for other, (second, _) in views.items():
             if other == name:
                 cells.append("")
                 continue
             merged, fit = merge_views(seen, second, (name, other))
-            cells.append(f"{targets_apart(merged, true, reach):.1f} cm, {fit.angle_deg:.0f}°")
-            errors.append(depth_errors(merged, true))
+            used = not np.array_equal(merged.landmarks, seen.landmarks, equal_nan=True)
+            cells.append(f"{played_apart(merged, true, reach):.1f} cm, {fit.angle_deg:.0f}°" if used else "not used")
+            if used:
+                errors.append(depth_errors(merged, true))
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
     print(f"\ndeclared, true depth error [cm] | {fifths(errors)} |")
 

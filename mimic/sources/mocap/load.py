@@ -39,11 +39,13 @@ ARM = 0.5
 """Approximate length of an adult's arm, shoulder -> elbow -> wrist [m]; it decides the unit of a file that names none.
 The motion does not depend on it, because arms are measured in their own length."""
 METRIC = ("m", "cm", "mm")
-"""Units that are confused in a file that names one."""
+"""Units that are confused in a file that names one, and those of points without one."""
+SCALED = (".bvh", ".c3d")
+"""Files in which lengths without a unit may be in inches or decimetres."""
 LONGEST = (0.15, 1.6)
 """An arm is not shorter and not longer [m]; the units of UNITS are at most a factor of ten apart."""
 CORRECTED = (0.25, 1.0)
-"""The same where the file's own unit is not believed [m]: 17 m may be anything."""
+"""The same where a unit of METRIC must be meant [m]: 17 m may be anything."""
 CLEARLY = 0.75
 """Minimum component of the torso direction along an axis that is taken as up."""
 
@@ -226,9 +228,10 @@ def _unit(named: Points, path: Path) -> tuple[str, float, tuple[str, ...]]:
     length = float(np.quantile(known, 0.9))
     if given is not None and LONGEST[0] <= UNITS[given] * length <= LONGEST[1]:
         return given, UNITS[given], ()
-    units = UNITS if given is None else METRIC
+    guessed = given is None and path.suffix.lower() in SCALED
+    units = UNITS if guessed else METRIC
     best = min(units, key=lambda name: abs(np.log(max(UNITS[name] * length, 1e-12) / ARM)))
-    shortest, longest = LONGEST if given is None else CORRECTED
+    shortest, longest = LONGEST if guessed else CORRECTED
     if not shortest <= UNITS[best] * length <= longest:
         raise SourceError(
             f"the arms in {path.name} are {length:.3g} {given or 'units'} long; expected {shortest:g} to "

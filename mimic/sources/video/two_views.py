@@ -2,7 +2,9 @@
 
 Both clips are brought to one clock by the heights of elbows and wrists, which all cameras see alike. The turn between
 the cameras and the ratio of their scales are those at which the lines of arms and trunk agree best, each camera being
-less sure of depth. Each line is then the least-squares mean of both.
+less sure of depth and lines that one of them takes for something else counting little. Whether both show one motion
+tells what is left, and how much more is left where their times do not belong together. Each line is then the
+least-squares mean of both.
 """
 
 from __future__ import annotations
@@ -14,14 +16,24 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from mimic.errors import SourceError
-from mimic.records import SIDES, BoolArray, FloatArray, PoseTrack
+from mimic.records import SIDES, BoolArray, FloatArray, IntArray, PoseTrack
 
 LATEST = 2.0
 """One clip starts at most this long after the other [s]."""
 DELAYS = 8
 """Delays that are tried."""
-NEAR = 25.0
-"""Cameras that look along lines closer than this show no depth to each other [deg]: of six such pairs half lost."""
+NEAR = 15.0
+"""Cameras that look along lines closer than this show no depth to each other [deg]; 18° was the least tried."""
+ALIKE = 0.7
+"""Above this a second view is not used: those of one motion have up to 0.67, those of other ones 0.71 and more."""
+UNLIKE = 0.9
+"""Above this it shows another motion; a view with an arm that hides another, or of people who sit still, has less."""
+FAR = 3.0
+"""Lines that are more standard deviations apart than this count little in the turn."""
+ROWS = 300
+"""At most this many rows are compared."""
+SHIFTS = 6
+"""Parts of the clip by which the second view is shifted in a circle to see what chance makes alike."""
 GRID_HZ = 100.0
 """Rate at which their motion is compared [Hz]."""
 ACROSS = 0.03
@@ -30,7 +42,7 @@ DEPTH = 0.12
 """Standard deviation in depth where the track declares none [m]."""
 TURN_DOUBT = 0.14
 """Standard deviation of the turn found, about each axis [rad]: 14° in all on twelve pairs of calibrated views."""
-STARTS = 8
+STARTS = 4
 """Turns about the vertical from which the best one is sought."""
 
 _PARTS = ("shoulder", "elbow", "wrist", "hip")
@@ -47,9 +59,9 @@ class Fit:
     apart: float
     """Root mean square distance of the lines of both views [m]."""
     unlike: float
-    """The same over what ACROSS and DEPTH let expect: 0.6 to 0.7 for one person seen twice, 1.3 and more for others.
+    """The same over what ACROSS and DEPTH let expect, times its ratio to what is left at the likest of other times.
 
-    Source: twelve pairs of four calibrated views, and other clips (lab/results/depth.md).
+    Source: 36 pairs of calibrated views of three people, and 116 of different motions (lab/results/depth.md).
     """
 
     @property
@@ -73,28 +85,28 @@ def merge_views(first: PoseTrack, second: PoseTrack, names: tuple[str, str]) -> 
             raise SourceError(f"{name} has a cut or a change of person; two views need clips without one")
     seen = _lines(first)
     lines = _lines(second)
-    fits = []
+    found = []
     for delay in _delays(first, second):
-        other = _at(lines, second.t, first.t + delay)
-        both = seen.valid & other.valid
-        if both.any():
-            fits.append((*_turn(seen.xyz[both], other.xyz[both]), delay))
-    if not fits:
+        turn, unlike = _turn(seen, _at(lines, second.t, first.t + delay))
+        found.append((unlike, delay, turn))
+    unlike, delay, turn = min(found, key=lambda one: one[0], default=(np.inf, 0.0, np.eye(3)))
+    if np.isinf(unlike):
         raise SourceError(f"{names[0]} and {names[1]} never show the same arm at once; film both at the same time")
-    turn, unlike, delay = min(fits, key=lambda fit: fit[1])
     other = _at(lines, second.t, first.t + delay)
-    both = seen.valid & other.valid
-    apart = float(np.sqrt(((seen.xyz[both] - other.xyz[both] @ turn.T) ** 2).sum(axis=-1).mean()))
-    if unlike > 1.0:
+    fit = Fit(delay, turn, _apart(seen, other, turn), unlike**2 / _by_chance(seen, other))
+    if fit.unlike > UNLIKE:
         raise SourceError(
             f"{names[0]} and {names[1]} do not show the same motion: seen from the best angle, arms and trunk are "
-            f"{100 * apart:.0f} cm apart; film one person with both at once, starting within {LATEST:g} s"
+            f"{100 * fit.apart:.0f} cm apart; film one person with both at once, starting within {LATEST:g} s"
         )
     said = tuple(f"{names[1]}: {text}" for text in second.warnings)
-    fit = Fit(delay, turn, apart, unlike)
-    if fit.angle_deg < NEAR:
-        alone = f"{names[1]} is not used: its camera, {fit.angle_deg:.0f}° beside that of {names[0]}, adds no depth"
-        return replace(first, warnings=(*first.warnings, *said, alone)), fit
+    alone = ""
+    if fit.unlike > ALIKE:
+        alone = f"it shows arms or trunk otherwise than {names[0]} does: hidden arms, or another motion"
+    elif fit.angle_deg < NEAR:
+        alone = f"its camera, {fit.angle_deg:.0f}° beside that of {names[0]}, adds no depth"
+    if alone:
+        return replace(first, warnings=(*first.warnings, *said, f"{names[1]} is not used: {alone}")), fit
     merged = _with_lines(first, _mean(seen, other, turn))
     return replace(merged, warnings=(*first.warnings, *said)), fit
 
@@ -164,12 +176,18 @@ def _speeds(track: PoseTrack) -> FloatArray:
     return np.where(seen.valid[:, :4] & np.isfinite(speed), speed, 0.0)
 
 
-def _turn(a: FloatArray, b: FloatArray) -> tuple[FloatArray, float]:
-    """Return the turn and scale (3, 3) that bring lines b (N, 3) to lines a (N, 3) by weighted least squares.
+def _turn(seen: _Lines, other: _Lines) -> tuple[FloatArray, float]:
+    """Return the turn and scale (3, 3) that bring lines of the other view to those seen, few of which may be wrong.
 
-    Last comes the root mean square of what is left, over what is expected.
+    Last comes the root mean square of what is left, over what is expected; infinite if no line is seen in both.
     """
-    aa, bb, ab = (x.T @ y / len(a) for x, y in ((a, a), (b, b), (a, b)))
+    both = seen.valid & other.valid
+    if not both.any():
+        return np.eye(3), np.inf
+    every = -(-int(both.any(axis=1).sum()) // ROWS)
+    rows = np.flatnonzero(both.any(axis=1))[::every]
+    a = seen.xyz[rows][both[rows]]
+    b = other.xyz[rows][both[rows]]
     noise = np.diag(np.square([ACROSS, ACROSS, DEPTH]))
 
     def matrix(p: FloatArray) -> FloatArray:
@@ -177,12 +195,30 @@ def _turn(a: FloatArray, b: FloatArray) -> tuple[FloatArray, float]:
 
     def cost(p: FloatArray) -> float:
         m = matrix(p)
-        unlike = aa - ab @ m.T - m @ ab.T + m @ bb @ m.T
-        return float(np.trace(np.linalg.solve(noise + m @ noise @ m.T, unlike)))
+        weight = np.linalg.cholesky(np.linalg.inv(noise + m @ noise @ m.T))
+        square = np.square((a - b @ m.T) @ weight).sum(axis=-1)
+        return float(FAR**2 * np.log1p(square / FAR**2).mean())
 
     about = [np.array([0.0, angle, 0.0, 0.0]) for angle in np.linspace(-np.pi, np.pi, STARTS, endpoint=False)]
-    found = min((minimize(cost, start) for start in about), key=lambda one: one.fun)
-    return matrix(found.x), float(np.sqrt(found.fun / 3.0))
+    best = min((minimize(cost, start) for start in about), key=lambda one: one.fun)
+    return matrix(best.x), float(np.sqrt(best.fun / 3.0))
+
+
+def _apart(seen: _Lines, other: _Lines, turn: FloatArray) -> float:
+    """Return the root mean square distance of the lines of both views [m]."""
+    both = seen.valid & other.valid
+    return float(np.sqrt(((seen.xyz[both] - other.xyz[both] @ turn.T) ** 2).sum(axis=-1).mean()))
+
+
+def _by_chance(seen: _Lines, other: _Lines) -> float:
+    """Return what is left as in `_turn` if the other view runs backwards or is shifted in a circle, the least."""
+    rows = np.flatnonzero((seen.valid & other.valid).any(axis=1))
+    orders = [rows[::-1], *(np.roll(rows, part * len(rows) // SHIFTS) for part in range(1, SHIFTS))]
+    return min(_turn(_rows(seen, rows), _rows(other, order))[1] for order in orders)
+
+
+def _rows(lines: _Lines, rows: IntArray) -> _Lines:
+    return _Lines(lines.xyz[rows], lines.spread[rows], lines.valid[rows])
 
 
 def _mean(seen: _Lines, other: _Lines, turn: FloatArray) -> _Lines:

@@ -92,9 +92,9 @@ def test_a_wrist_stored_as_zero_is_hidden_in_a_file_of_a_user():
     assert apart(track, whole, np.r_[:38, 67:90]) < 0.005
 
 
-@pytest.mark.parametrize("scale", [0.0, 1e-6, 1e6])
-def test_a_body_of_no_length_is_refused(scale, tmp_path):
-    with pytest.raises(SourceError, match=r"the arms in a\.npz are .* long; expected 0.15 to 1.6 m"):
+@pytest.mark.parametrize("scale", [0.0, 1e-6, 10.0, 1e6])
+def test_a_body_of_a_length_that_nobody_has_is_refused(scale, tmp_path):
+    with pytest.raises(SourceError, match=r"the arms in a\.npz are .* long; expected 0.25 to 1 m"):
         read(tmp_path / "a.npz", {name: scale * xyz + [0.5, 1.0, 2.0] for name, xyz in body().items()})
 
 

@@ -95,11 +95,37 @@ def test_an_arm_that_one_view_does_not_show_comes_from_the_other_one():
 
 
 def test_a_camera_beside_the_first_one_adds_nothing_and_a_note_says_so():
-    beside = Rotation.from_euler("y", 12, degrees=True)
+    beside = Rotation.from_euler("y", 6, degrees=True)
     merged, fit = merge_views(FRONT, seen_by(beside, T, TRUE), ("front.mp4", "beside.mp4"))
-    assert fit.angle_deg < 25
+    assert fit.angle_deg < 15
     np.testing.assert_array_equal(merged.landmarks, FRONT.landmarks)
     assert any("beside.mp4 is not used" in text for text in merged.warnings)
+
+
+def taken_for_another(rows: slice, parts: tuple[str, ...]) -> PoseTrack:
+    """The view from the side in which somebody else's arm is taken for the left one."""
+    side = seen_by(SIDE, T, TRUE)
+    wrong = np.array(side.landmarks)
+    strange = seen_by(SIDE, T, person(T, seed=5)).landmarks
+    columns = [LANDMARKS.index(part) for part in parts]
+    wrong[rows, columns] = strange[rows, columns]
+    return replace(side, landmarks=wrong)
+
+
+def test_an_arm_that_one_view_takes_for_another_one_hardly_turns_the_view():
+    _, right = merge_views(FRONT, seen_by(SIDE, T, TRUE), ("front.mp4", "side.mp4"))
+    wrong = taken_for_another(slice(40, 80), ("left_elbow", "left_wrist"))
+    _, fit = merge_views(FRONT, wrong, ("front.mp4", "side.mp4"))
+    assert fit.angle_deg == pytest.approx(right.angle_deg, abs=3)
+    assert right.unlike < fit.unlike < 0.7
+
+
+def test_a_view_that_shows_arms_otherwise_is_not_used_and_a_note_says_so():
+    wrong = taken_for_another(slice(None), ("left_wrist",))
+    merged, fit = merge_views(FRONT, wrong, ("front.mp4", "side.mp4"))
+    assert 0.7 < fit.unlike < 0.9
+    np.testing.assert_array_equal(merged.landmarks, FRONT.landmarks)
+    assert any("side.mp4 is not used: it shows arms" in text for text in merged.warnings)
 
 
 def test_videos_of_different_motions_are_refused_in_one_line():
