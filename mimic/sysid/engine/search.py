@@ -216,7 +216,7 @@ def trimmed(one: Scored) -> Scored:
     gone = free.pop(idle)
     where = ROW[gone.key], slice(None) if gone.joint < 0 else gone.joint
     table[where] = model.setting.blank[where]
-    columns = None if model.columns is None else np.delete(model.columns, idle, axis=0)
+    columns = None if model.columns is None else (*model.columns[:idle], *model.columns[idle + 1 :])
     less = replace(model, table=table, free=tuple(free), columns=columns).evaluated()
     other = scored(less.fitted(3))
     return trimmed(other) if other.over(one) > 0.0 else one
