@@ -96,6 +96,12 @@ class Data:
         return replace(self, record=record._replace(lead=_leads(record.t, block, record.fresh)))
 
     @property
+    def chains(self) -> tuple[slice, ...]:
+        """Joints of each chain."""
+        ends = zip(self.tree.first.tolist(), self.tree.end.tolist(), strict=True)
+        return tuple(slice(*one) for one in dict.fromkeys(ends))
+
+    @property
     def moves(self) -> BoolArray:
         """Which joints move at all (J,)."""
         return np.ptp(np.nan_to_num(self.log.q), axis=0) > 0.0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -15,9 +16,9 @@ from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.engine.data import Data
-from mimic.sysid.engine.laws import KEYS, ROW
+from mimic.sysid.engine.laws import DROP, KEYS, ROW
 from mimic.sysid.engine.likelihood import DECAY, Gains, misfit, scales, weights
-from mimic.sysid.engine.predictor import arrays_of, predict
+from mimic.sysid.engine.predictor import Arrays, arrays_of, part_of, predict
 from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
 from mimic.sysid.log.noise import SMOOTH
 
@@ -32,6 +33,12 @@ PART = 0.5, 0.1
 
 LEVELS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 0.6, 0.5)])
 """Sizes of the unknown torque that are tried, as shares of the torque of a joint: factors of 3.2."""
+
+MEMORY = 2.0**28
+"""Of passes that are kept [B]: those of a derivative of twelve joints over two minutes."""
+
+IDLE = 0.01
+"""Share of the gain of a step below which the numbers of a chain stay where they are, which saves its pass."""
 
 Key = tuple[str, str]
 
@@ -53,24 +60,29 @@ class Free:
 
 
 class Passes:
-    """Runs passes over data."""
+    """Runs passes over data, chain by chain: what a chain did at the same numbers before is known."""
 
     def __init__(self, data: Data, threads: int = 1) -> None:
-        self.data = data
         self.threads = threads
-        self._counted = [0]
-        self._arrays = arrays_of(data.tree, data.record)
+        self._counted = [0.0]
+        self._over(data)
+
+    def _over(self, data: Data) -> None:
+        self.data = data
+        whole = arrays_of(data.tree, data.record)
+        self._whole = [(slice(0, data.joints), whole)]
+        self._chains = [(own, part_of(whole, own)) for own in data.chains]
+        self._known: OrderedDict[bytes, FloatArray] = OrderedDict()
 
     @property
     def count(self) -> int:
-        """Number of passes so far."""
-        return self._counted[0]
+        """Number of passes so far; one of a single chain is a part of one."""
+        return round(self._counted[0])
 
     def of(self, data: Data) -> Passes:
         """Return passes over other data, counted together."""
         made = copy(self)
-        made.data = data
-        made._arrays = arrays_of(data.tree, data.record)
+        made._over(data)
         return made
 
     def run(
@@ -81,18 +93,48 @@ class Passes:
 
     def whole(
         self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP, follow: bool = False
-    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return predicted readings, unknown torques and torques of the motors (T, J) of each."""
+    ) -> list[FloatArray]:
+        """Return predicted readings, unknown torques and torques of the motors (3, T, J) of each."""
+        shared = any((table[DROP] != 0.0).any() for table in points)  # motors that draw from one supply
+        parts = self._whole if shared else self._chains
+        lacking: dict[bytes, tuple[Arrays, FloatArray, FloatArray]] = {}
+        wanted: list[list[bytes]] = []
+        for table in points:
+            wanted.append([])
+            for own, arrays in parts:
+                numbers = np.ascontiguousarray(table[:, own])
+                corrections = np.ascontiguousarray(gains[..., own, :])
+                key = b"".join((repr((own, step, follow)).encode(), numbers.tobytes(), corrections.tobytes()))
+                wanted[-1].append(key)
+                if key in self._known:
+                    self._known.move_to_end(key)
+                else:
+                    lacking[key] = arrays, numbers, corrections
+        found = {key: self._known[key] for keys in wanted for key in keys if key in self._known}
+        found |= self._made(lacking, step, follow)
+        self._counted[0] += len(lacking) / len(parts)
+        return [np.concatenate([found[key] for key in keys], axis=-1) for keys in wanted]
 
-        def one(table: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            made = predict(self._arrays, table, gains, DECAY, step, follow)
-            return made[0], made[1], made[2]
+    def _made(
+        self, lacking: Mapping[bytes, tuple[Arrays, FloatArray, FloatArray]], step: float, follow: bool
+    ) -> dict[bytes, FloatArray]:
+        """Run passes, and keep the last of them."""
 
-        self._counted[0] += len(points)
-        if self.threads > 1 and len(points) > 1:
+        def one(key: bytes) -> FloatArray:
+            arrays, numbers, corrections = lacking[key]
+            return predict(arrays, numbers, corrections, DECAY, step, follow)
+
+        if self.threads > 1 and len(lacking) > 1:
             with ThreadPoolExecutor(self.threads) as pool:
-                return list(pool.map(one, points))
-        return [one(point) for point in points]
+                made = list(pool.map(one, lacking))
+        else:
+            made = [one(key) for key in lacking]
+        new = dict(zip(lacking, made, strict=True))
+        self._known.update(new)
+        kept = max(int(MEMORY / (24.0 * self.data.record.y.size)), 1) * len(self._chains)
+        while len(self._known) > kept:
+            self._known.popitem(last=False)
+        return new
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -174,8 +216,8 @@ class Model:
     """(L, J)"""
     cost: float = np.inf
     """Minus the log density, with what is plausible of the numbers."""
-    columns: FloatArray | None = None
-    """Derivatives of the innovations (P, T, J)."""
+    columns: tuple[FloatArray, ...] | None = None
+    """Derivatives of the innovations: of each number (T, C) in the joints that it moves."""
 
     @property
     def data(self) -> Data:
@@ -222,11 +264,31 @@ class Model:
         cost = float(misfit(e, made.scale, self.data).sum()) + made.implausible(made.values())
         return replace(made, cost=cost if np.isfinite(cost) else np.inf)
 
-    def differentiated(self, known: FloatArray | None = None) -> Model:
+    def moved(self, f: Free) -> slice:
+        """Return the joints that a number moves: those of its chain, or all."""
+        tree = self.data.tree
+        return slice(0, self.data.joints) if f.joint < 0 else slice(int(tree.first[f.joint]), int(tree.end[f.joint]))
+
+    def in_chain(self, own: slice, rows: slice | BoolArray = slice(None)) -> tuple[list[int], FloatArray]:
+        """Return which numbers move a chain, and their derivatives there (C, N, J of the chain) over some rows."""
+        assert self.columns is not None
+        chosen = []
+        columns = []
+        for k, (f, column) in enumerate(zip(self.free, self.columns, strict=True)):
+            if f.joint < 0:
+                columns.append(column[rows, own])
+            elif own.start <= f.joint < own.stop:
+                columns.append(column[rows])
+            else:
+                continue
+            chosen.append(k)
+        return chosen, np.stack(columns) if columns else np.zeros((0, *self.e[rows, own].shape))
+
+    def differentiated(self, known: Sequence[FloatArray] = ()) -> Model:
         """Return the model with derivatives; numbers of chains apart share a pass; those of the first may be known."""
         if self.columns is not None:
             return self
-        first = 0 if known is None else len(known)
+        first = len(known)
         data = self.data
         x = self.values()
         shift = np.zeros(len(x))
@@ -241,26 +303,25 @@ class Model:
         stiff = any(CATALOGUE[f.key[0]].structural for f in self.free)
         step = COARSE[0] if stiff else COARSE[1]
         *moved, still = self.setting.passes.run([*tables, self.table], self.gains, step)
-        columns = np.zeros((len(x), *self.e.shape))
-        columns[:first] = 0.0 if known is None else known
-        reach = self._reach()
-        for k in range(first, len(x)):
-            columns[k][:, reach[k]] = ((moved[colours[k]] - still) / shift[k])[:, reach[k]]
-        return replace(self, columns=np.nan_to_num(columns))
+        columns = list(known)
+        for k, f in list(enumerate(self.free))[first:]:
+            own = self.moved(f)
+            columns.append(np.nan_to_num((moved[colours[k]][:, own] - still[:, own]) / shift[k]))
+        return replace(self, columns=tuple(columns))
 
     def normal(self, rows: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return Hessian (P, P) and descent (P,) of the cost over some rows, plausibility left out."""
-        assert self.columns is not None
-        w = weights(self.e, self.scale, self.data)
-        if rows is not None:
-            w = np.where(rows[:, None], w, 0.0)
-        flat = self.columns.reshape(len(self.free), -1)
-        w = w.ravel()
-        e = np.nan_to_num(self.e).ravel()
-        used = w > 0
-        c = flat[:, used]
-        weighed = c * w[used]
-        return weighed @ c.T, -(weighed @ e[used])
+        at = slice(None) if rows is None else rows
+        root = np.sqrt(weights(self.e, self.scale, self.data))[at]
+        e = np.nan_to_num(self.e)[at] * root
+        hessian = np.zeros((len(self.free), len(self.free)))
+        descent = np.zeros(len(self.free))
+        for own in self.data.chains:
+            chosen, columns = self.in_chain(own, at)
+            white = (columns * root[:, own]).reshape(len(chosen), -1)
+            hessian[np.ix_(chosen, chosen)] += white @ white.T
+            descent[chosen] -= white @ e[:, own].ravel()
+        return hessian, descent
 
     def numbers(self) -> float:
         """Return how many numbers the logs determine, beside what is plausible of them."""
@@ -276,7 +337,8 @@ class Model:
         assert now.columns is not None
         pull = weights(now.e, now.scale, now.data) * np.nan_to_num(now.e)
         count = len(now.data.fold)
-        varied = np.cov([np.bincount(now.data.block, (c * pull).sum(axis=1), count) for c in now.columns]) * count
+        felt = [(c * pull[:, now.moved(f)]).sum(axis=1) for f, c in zip(now.free, now.columns, strict=True)]
+        varied = np.cov([np.bincount(now.data.block, one, count) for one in felt]) * count
         hessian = now.normal()[0]
         prior = now.plausibility(now.values())[0]
         share = float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), varied)))
@@ -317,37 +379,46 @@ class Model:
             fresh = False
         return now
 
-    def _secant(self, new: Model) -> FloatArray:
+    def _secant(self, new: Model) -> tuple[FloatArray, ...]:
         """Return the derivatives such that they tell the way to a new model. Source: Broyden 1965."""
         assert self.columns is not None
         by = new.values() - self.values()
         weighed = np.diag(self.normal()[0]) * by
-        missed = np.nan_to_num(new.e - self.e) - np.einsum("p,ptj->tj", by, self.columns)
-        share = self._reach() * weighed[:, None]
-        share /= np.maximum(by @ share, 1e-300)
-        return self.columns + share[:, None, :] * missed
-
-    def _reach(self) -> BoolArray:
-        """Return which joints each number moves (P, J): those of its chain."""
-        chain = np.asarray(self.data.machine.chain)
-        return np.stack([np.full(len(chain), f.joint < 0) | (chain == chain[f.joint]) for f in self.free])
+        missed = np.nan_to_num(new.e - self.e)
+        total = np.full(self.data.joints, 1e-300)
+        for f, column, x, share in zip(self.free, self.columns, by, weighed, strict=True):
+            own = self.moved(f)
+            total[own] += x * share
+            if x != 0.0:
+                missed[:, own] -= x * column
+        made = []
+        for f, column, share in zip(self.free, self.columns, weighed, strict=True):
+            own = self.moved(f)
+            made.append(column + share / total[own] * missed[:, own] if share != 0.0 else column)
+        return tuple(made)
 
     def _step(self, damping: float, most: int) -> tuple[Model | None, float]:
         """Return a better model that a damped step leads to, if one does, and the damping of the next."""
         x = self.values()
         hessian, descent = (a + b for a, b in zip(self.normal(), self.plausibility(x), strict=True))
         moves = ~self.stopped(descent)
-        hessian = hessian[np.ix_(moves, moves)]
-        descent = descent[moves]
-        own = np.diag(np.diag(hessian) + 1e-12)
         for _ in range(most):
-            to = x.copy()
-            to[moves] += np.linalg.solve(hessian + damping * own, descent)
-            trial = replace(self, table=self.at(to)).evaluated()
+            by = self._towards(hessian, descent, moves, damping)
+            trial = replace(self, table=self.at(x + by)).evaluated()
             if trial.cost < self.cost:
                 return trial, max(damping / 8.0, 1e-6)
             damping *= 8.0
         return None, damping
+
+    def _towards(self, hessian: FloatArray, descent: FloatArray, moves: BoolArray, damping: float) -> FloatArray:
+        """Return a damped step (P,) of the numbers that move, but for those of chains that gain next to nothing."""
+        by = _damped(hessian, descent, moves, damping)
+        if len(self.data.chains) == 1:
+            return by
+        gain = by * descent
+        parts = np.array([self.moved(f).start if f.joint >= 0 else -1 for f in self.free])
+        worth = np.array([gain[parts == part].sum() > IDLE * gain.sum() for part in parts])
+        return _damped(hessian, descent, moves & worth, damping)
 
     def sized(self) -> Model:
         """Return the model with the size of the unknown torque in each joint that predicts best."""
@@ -389,7 +460,8 @@ class Model:
             rows = (data.fold == k)[data.block]
             hessian, descent = now.normal(rows)
             step = np.linalg.solve(total - hessian + prior[0] + small, down - descent + prior[1])
-            e[rows] += np.einsum("p,ptj->tj", step, now.columns[:, rows])
+            for f, x, column in zip(now.free, step, now.columns, strict=True):
+                e[rows, now.moved(f)] += x * column[rows]
         return e
 
     def unseen(self) -> FloatArray:
@@ -408,6 +480,14 @@ class Model:
         """Return the log density of all readings under fits without their folds."""
         e = self.left_out()
         return -float(misfit(e, scales(e, self.data), self.data).sum())
+
+
+def _damped(hessian: FloatArray, descent: FloatArray, moves: BoolArray, damping: float) -> FloatArray:
+    """Return a step of Levenberg and Marquardt (P,) of the numbers that move."""
+    by = np.zeros(len(descent))
+    own = hessian[np.ix_(moves, moves)]
+    by[moves] = np.linalg.solve(own + damping * np.diag(np.diag(own) + 1e-12), descent[moves])
+    return by
 
 
 def _parameter(f: Free) -> Parameter:

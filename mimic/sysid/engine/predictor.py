@@ -263,6 +263,24 @@ def arrays_of(tree: Tree, record: Record) -> Arrays:
     )
 
 
+def part_of(whole: Arrays, own: slice) -> Arrays:
+    """Return one chain of a machine and its logs."""
+    before = np.array([own.start, 0, own.start, own.start])
+    joints = whole.joints[own] - before
+    joints[:, 0] = np.maximum(joints[:, 0], -1)
+    motors = whole.motors[own].copy()
+    motors[:, NEIGHBOUR] -= own.start
+    return whole._replace(
+        joints=joints,
+        shape=whole.shape[own],
+        inputs=np.ascontiguousarray(whole.inputs[:, own]),
+        goal=np.ascontiguousarray(whole.goal[:, own]),
+        motors=motors,
+        payload=np.ascontiguousarray(whole.payload[:, own]),
+        own=tuple(one[own] for one in whole.own),
+    )
+
+
 @inlined
 def supply_left(p, s):  # type: ignore[no-untyped-def]
     """Return the share of the supply that is left while motors do the work of the last step."""

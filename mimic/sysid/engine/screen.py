@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -45,8 +45,12 @@ class Place:
     """Numbers at the place."""
     moved: tuple[tuple[str, ...], ...]
     """Numbers that each column moves together."""
-    columns: FloatArray
-    """What each does to the whitened innovations, the model's numbers projected out (C, N)."""
+    own: slice = field(default_factory=lambda: slice(None))
+    """Joints that it moves."""
+    columns: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    """What each does to the whitened innovations of these (C, T, J of the chain)."""
+    explained: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """The part of that which the model's numbers do as well, in coordinates of their own (C, P)."""
 
 
 class Job(NamedTuple):
@@ -143,31 +147,22 @@ class Screen:
     def __init__(self, model: Model) -> None:
         """Take a model."""
         self.model = model.differentiated()
-        columns = self.model.columns
-        assert columns is not None
         self._root = np.sqrt(weights(model.e, model.scale, model.data))
-        used = self._root.ravel() > 0
-        self._used = used
-        white = (columns * self._root).reshape(len(columns), -1)[:, used]
-        prior = np.array([1.0 / f.width for f in model.free])
-        x = model.values() - np.array([f.centre for f in model.free])
-        descent = self.model.normal()[1] + self.model.plausibility(model.values())[1]
-        white[self.model.stopped(descent)] = 0.0
-        # What is plausible of the numbers stands below the readings as rows of its own.
-        self._basis = np.linalg.qr(np.concatenate([white, np.diag(prior)], axis=1).T)[0]
-        self._extra = len(prior)
-        y = np.concatenate([(np.nan_to_num(model.e) * self._root).ravel()[used], prior * x])
-        self._left = self._without(y[None])[0]
+        x = model.values()
+        hessian, descent = (a + b for a, b in zip(self.model.normal(), self.model.plausibility(x), strict=True))
+        fixed = self.model.stopped(descent)
+        hessian[fixed] = hessian[:, fixed] = 0.0
+        size = np.sqrt(np.diag(hessian)) + np.where(fixed, 1.0, 1e-150)
+        alike = hessian / np.outer(size, size) + np.diag(np.where(fixed, 1.0, 1e-12))
+        self._turn = np.linalg.inv(np.linalg.cholesky(alike)) / size * ~fixed
+        step = self._turn.T @ (self._turn @ descent)
+        self._left = np.nan_to_num(model.e) * self._root
+        for own in model.data.chains:
+            chosen, columns = self.model.in_chain(own)
+            self._left[:, own] += np.einsum("p,ptj->tj", step[chosen], columns) * self._root[:, own]
         read, unknown, torque = model.setting.passes.whole([model.table], model.gains, follow=True)[0]
         self._peaks = [peaks_of(read[:, j], unknown[:, j]) for j in range(model.data.joints)]
         self._most = {"N m": np.abs(torque).max(axis=0), "rad/s": model.setting.fastest}
-
-    def _without(self, rows: FloatArray) -> FloatArray:
-        return rows - (rows @ self._basis) @ self._basis.T
-
-    def _whitened(self, change: FloatArray) -> FloatArray:
-        row = (np.nan_to_num(change) * self._root).ravel()[self._used]
-        return np.concatenate([row, np.zeros(self._extra)])
 
     def run(self, names: Sequence[str]) -> list[Found]:
         """Return what each effect would gain in each joint alone and in all together, best first."""
@@ -247,7 +242,7 @@ class Screen:
                 values[p.name] = moved if moved != own else from_fit(p, x - by)
                 alone.append((p.name,))
         moved = ((tuple(together),) if together else ()) + tuple(alone)
-        return Place(values=values, moved=moved, columns=np.zeros((0, 0)))
+        return Place(values=values, moved=moved)
 
     def _table(self, name: str, places: Mapping[int, Place], column: int) -> FloatArray:
         table = self.model.table.copy()
@@ -260,16 +255,28 @@ class Screen:
         return table
 
     def _judged(self, name: str, j: int, place: Place, changes: list[FloatArray]) -> tuple[float, Place] | None:
-        chain = np.asarray(self.model.data.machine.chain)
-        own = np.ones(len(chain), dtype=bool) if j < 0 else chain == chain[j]
-        rows = np.stack([self._whitened(np.where(own, c, 0.0)) for c in changes])
-        if not np.isfinite(rows).all() or np.abs(rows).max() > 1e6:
+        tree = self.model.data.tree
+        own = slice(0, len(tree.first)) if j < 0 else slice(int(tree.first[j]), int(tree.end[j]))
+        columns = np.stack([np.nan_to_num(c[:, own]) * self._root[:, own] for c in changes])
+        if not np.isfinite(columns).all() or np.abs(columns).max() > 1e6:
             return None
-        made = replace(place, columns=self._without(rows))
-        steps, gain = self._step(made.columns)
+        made = replace(place, own=own, columns=columns, explained=self._explained(own, columns))
+        steps, gain = self._step([made])
         if any(s < 0.0 and self._one_sided(name, m) for s, m in zip(steps, made.moved, strict=True)):
-            return -float(np.sum(made.columns**2)), made  # on the other side of none; the least of these is the mildest
+            least = float(np.sum(columns**2) - np.sum(made.explained**2))
+            return -least, made  # on the other side of none; the least of these is the mildest
         return gain, made
+
+    def _explained(self, own: slice, columns: FloatArray) -> FloatArray:
+        out = np.zeros((len(columns), len(self._turn)))
+        for chain in self.model.data.chains:
+            if own.start <= chain.start < own.stop:
+                chosen, known = self.model.in_chain(chain)
+                here = slice(chain.start - own.start, chain.stop - own.start)
+                white = (known * self._root[:, chain]).reshape(len(chosen), -1)
+                across = columns[:, :, here].reshape(len(columns), -1) @ white.T
+                out += across @ self._turn[:, chosen].T
+        return out
 
     def _one_sided(self, name: str, moved: tuple[str, ...]) -> bool:
         """Return whether numbers have only one side of the model's value."""
@@ -279,16 +286,29 @@ class Screen:
                 return True
         return False
 
-    def _step(self, columns: FloatArray) -> tuple[FloatArray, float]:
-        square = columns @ columns.T
+    def _step(self, places: Sequence[Place]) -> tuple[FloatArray, float]:
+        """Return by how much of each column least squares moves innovations, the model's numbers with them, and the
+        gain.
+        """
+        count = [len(p.columns) for p in places]
+        ends = np.cumsum(count)
+        parts = [slice(end - n, end) for end, n in zip(ends, count, strict=True)]
+        explained = np.concatenate([p.explained for p in places])
+        square = -explained @ explained.T
+        descent = np.zeros(len(square))
+        for one, at in zip(places, parts, strict=True):
+            flat = one.columns.reshape(len(one.columns), -1)
+            descent[at] = -flat @ self._left[:, one.own].ravel()
+            for other, there in zip(places, parts, strict=True):
+                if one.own == other.own:
+                    square[at, there] += flat @ other.columns.reshape(len(other.columns), -1).T
         square += 1e-9 * np.trace(square) * np.eye(len(square)) + 1e-12 * np.eye(len(square))
-        step = -np.linalg.solve(square, columns @ self._left)
-        left = self._left + step @ columns
-        return step, 0.5 * float(self._left @ self._left - left @ left)
+        step = np.linalg.solve(square, descent)
+        return step, float(step @ descent - 0.5 * step @ square @ step)
 
     def _together(self, name: str, group: tuple[int, ...], own: Mapping[int, tuple[float, Place]]) -> Found:
         places = [own[j][1] for j in group]
-        steps, gain = self._step(np.concatenate([p.columns for p in places]))
+        steps, gain = self._step(places)
         values = list[Mapping[str, float]]()
         at = 0
         for j, place in zip(group, places, strict=True):
@@ -346,7 +366,7 @@ def with_effect(model: Model, found: Found) -> Model:
     best = min(tried, key=lambda m: m.cost)
     assert model.columns is not None
     kept = [k for k, f in enumerate(model.free) if f in best.free]
-    return best.differentiated(model.columns[kept])
+    return best.differentiated([model.columns[k] for k in kept])
 
 
 def _at(model: Model, found: Found, numbers: Sequence[Mapping[str, float]], share: float) -> Model:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from mimic.sysid.engine.data import Data
 from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.likelihood import FOLLOWING, scales
 from mimic.sysid.engine.model import Free, Model, Setting, to_fit
+from mimic.sysid.engine.rival import density
 from mimic.sysid.engine.screen import Found, Screen, wanted, with_effect
 
 FARTHEST = 3.0
@@ -115,6 +117,16 @@ class Scored:
         """Return by how much this model predicts better than another [nats of independent readings]."""
         said = (self.density - other.density) / float(np.sqrt(self.repeats * other.repeats))
         return said + other.implausible - self.implausible
+
+    @cached_property
+    def beside(self) -> float:
+        """Log density with the likeliest unknown slow torques beside the model [nats]."""
+        return density(self.model)
+
+    def beyond(self, other: Scored) -> float:
+        """Return by how much this model is better than another where either has such torques, numbers paid."""
+        said = (self.beside - other.beside) / float(np.sqrt(self.repeats * other.repeats))
+        return said - PRICE * (self.numbers - other.numbers)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -216,7 +228,7 @@ def trimmed(one: Scored) -> Scored:
     gone = free.pop(idle)
     where = ROW[gone.key], slice(None) if gone.joint < 0 else gone.joint
     table[where] = model.setting.blank[where]
-    columns = None if model.columns is None else np.delete(model.columns, idle, axis=0)
+    columns = None if model.columns is None else (*model.columns[:idle], *model.columns[idle + 1 :])
     less = replace(model, table=table, free=tuple(free), columns=columns).evaluated()
     other = scored(less.fitted(3))
     return trimmed(other) if other.over(one) > 0.0 else one
@@ -433,9 +445,11 @@ def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
 
 
 def better(new: Scored, old: Scored) -> bool:
-    """Return whether a model is surely better, and removes a share of the error of some joint that is worth a name."""
+    """Return whether a model is surely better, also where either has unknown slow torques, and removes a share of the
+    error of some joint that is worth a name.
+    """
     share = np.exp(2.0 * np.mean(np.log(by_log(new.model) / by_log(old.model)), axis=0))
-    return new.over(old) >= TIED and bool(share.min() < 1.0 - MATERIAL)
+    return new.over(old) >= TIED and bool(share.min() < 1.0 - MATERIAL) and new.beyond(old) >= TIED
 
 
 def backwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
