@@ -113,7 +113,7 @@ class Passes:
         found = {key: self._known[key] for keys in wanted for key in keys if key in self._known}
         found |= self._made(lacking, step, follow)
         self._counted[0] += len(lacking) / len(parts)
-        return [np.concatenate([found[key] for key in keys], axis=-1) for keys in wanted]
+        return [np.concatenate(list(map(found.__getitem__, keys)), axis=-1) for keys in wanted]
 
     def _made(
         self, lacking: Mapping[bytes, tuple[Arrays, FloatArray, FloatArray]], step: float, follow: bool
