@@ -14,7 +14,8 @@ from itertools import count
 import numpy as np
 
 from mimic.config.play import RunSettings
-from mimic.control.desired import DesiredMotion, LiveMotion, StoredMotion
+from mimic.control.desired import HOLD, TRACK, DesiredMotion, LiveMotion, StoredMotion
+from mimic.control.odometry import KeptDistance
 from mimic.control.plant import Plant, damping_command
 from mimic.control.safety.safety_rules import FAILURE
 from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
@@ -69,6 +70,7 @@ def run_policy(
     sink: Sink | None = None,
     progress: Callable[[int, int], None] | None = None,
     safety: Safety | None = None,
+    keeps_distance: bool = False,
 ) -> RunResult:
     """Play commands on a plant through a policy, under supervision.
 
@@ -88,6 +90,7 @@ def run_policy(
         sink: Called with every tick.
         progress: Called with the ticks done and the ticks expected.
         safety: Supervisor, recorder, and how the run begins and ends.
+        keeps_distance: Whether velocities are corrected until the robot has come as far as they say.
 
     Returns:
         The log of every tick, and how the run ended. A failure after the first tick is reported in ``error``.
@@ -109,10 +112,12 @@ def run_policy(
     sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
     report = None if progress is None else partial(_report, progress, expected + sit_ticks)
     run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
+    keeps = keeps_distance and isinstance(track, CommandTrack)
+    distance = KeptDistance(track, plant.description) if keeps else None
     error: Exception | None = None
     try:
         with safety.signals.interrupts_counted() if counted else nullcontext():
-            error = _play(run, policy, motion, sit_down, sit_ticks)
+            error = _play(run, policy, motion, sit_down, sit_ticks, distance)
     finally:
         plant.close()
     events = tuple(safety.supervisor.events)
@@ -165,7 +170,14 @@ def _motion(
     return motion, motion.ticks
 
 
-def _play(run: Run, policy: Policy, motion: DesiredMotion, sit_down: Policy | None, sit_ticks: int) -> Exception | None:
+def _play(
+    run: Run,
+    policy: Policy,
+    motion: DesiredMotion,
+    sit_down: Policy | None,
+    sit_ticks: int,
+    distance: KeptDistance | None,
+) -> Exception | None:
     """Ramp, follow, sit down and damp; return what failed, after damping the robot."""
     safety = run.safety
     try:
@@ -173,7 +185,7 @@ def _play(run: Run, policy: Policy, motion: DesiredMotion, sit_down: Policy | No
         if safety.ramp > 0.0:
             start(run)
         if run.mode == SafetyMode.RUN:
-            _follow(run, policy, motion)
+            _follow(run, policy, motion, distance)
         if run.mode <= SafetyMode.SIT_DOWN and sit_down is not None:
             _sit_down(run, sit_down, sit_ticks)
         if run.mode < SafetyMode.DAMP:
@@ -194,7 +206,7 @@ def _play(run: Run, policy: Policy, motion: DesiredMotion, sit_down: Policy | No
     return None
 
 
-def _follow(run: Run, policy: Policy, motion: DesiredMotion) -> None:
+def _follow(run: Run, policy: Policy, motion: DesiredMotion, distance: KeptDistance | None) -> None:
     """Stand up, blend, track and hold, until the motion is over or the supervisor ends it."""
     builder = ObservationBuilder(policy.contract)
     heading0 = float(heading_from_quat(run.sensed.quat_WB))
@@ -204,6 +216,8 @@ def _follow(run: Run, policy: Policy, motion: DesiredMotion) -> None:
             return
         asked = desired.command
         command = Command(v=asked.v, heading=heading0 + asked.heading, p_BE=asked.p_BE)
+        if distance is not None and desired.phase in (TRACK, HOLD):
+            command = distance.corrected(command, run.sensed.q, run.sensed.quat_WB)
         run.tick(policy, builder, desired.phase, command, desired.arms)
         if run.mode > SafetyMode.RUN:
             return

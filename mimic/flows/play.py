@@ -151,11 +151,6 @@ def play(
         asked = motion.commands
     if not isinstance(policy, Policy):
         policy = policy_for(settings.policy if policy is None else policy, description)
-    if motion is not None and motion.script is not None and not motion.corrected_for:
-        from mimic.policy.walks import corrected
-
-        asked = corrected(motion.commands, policy.path)
-        motion = replace(motion, commands=asked, corrected_for=policy.path.name)
     sit_down = sit_down or shipped_sit_down(description, reporter)
     inputs = {"policy": policy.path} | ({} if sit_down is None else {"sit_down": sit_down.path})
     if plant is None:
@@ -166,7 +161,15 @@ def play(
         inputs["effects"] = Path(effects.effects)
     with reporter.progress("run") as progress:
         result = run_policy(
-            plant, policy, asked, settings, sit_down=sit_down, safety=safety, sink=sink, progress=progress
+            plant,
+            policy,
+            asked,
+            settings,
+            sit_down=sit_down,
+            sink=sink,
+            progress=progress,
+            safety=safety,
+            keeps_distance=isinstance(asked, CommandTrack) and bool(asked.v.any()),
         )
     return Run(motion=motion, result=result, description=description, inputs=inputs)
 

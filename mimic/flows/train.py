@@ -39,7 +39,6 @@ def training_settings(recipe: str = RECIPES[0], words: Sequence[str] = ()) -> tu
         path = shipped("policies", f"{recipe}.toml")
     settings: tuple[Any, ...] = MdpSettings(), LearnSettings()
     for table in (read_toml(path), *map(_table, words)):
-        table.pop("walks", None)  # what was measured on the policy that came out
         for name, value in table.items():
             at = next((i for i, s in enumerate(settings) if name in _names(s)), None)
             if at is None:

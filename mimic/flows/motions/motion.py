@@ -83,8 +83,6 @@ class Motion(ShownAsTable):
     """The video in which the person was seen."""
     script: KeyFrames | None = None
     """The key frames, where it was made from such."""
-    corrected_for: str = ""
-    """Policy by whose walks the velocities of a script are corrected already; empty where they are not."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -1,0 +1,122 @@
+"""How far the robot has come, by its hind legs, and the velocity that makes a walk as long as it was asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mimic.geometry import rotation_from_quat
+from mimic.records import Command, CommandTrack, FloatArray
+from mimic.robot.description import RobotDescription
+from mimic.robot.leg_kinematics import all_legs
+
+HIND = (2, 3)
+"""Legs that stand, in the order of LEGS."""
+LIFTED = 0.012
+"""A foot that is higher than the other one by this does not carry the robot [m]."""
+KEPT = 0.6
+"""Share of the last velocity in the one that the next step is compared with."""
+GAIN = 1.0
+"""Velocity for each metre that is lacking [1/s]."""
+CORRECTED = 0.03
+"""A robot that should stand, and is further away than this, walks there [m]."""
+REACHED = 0.005
+"""It then walks until it is as near as this [m]."""
+SLOWEST = 0.1
+"""Velocity with which it does so at least: slower ones the policies do not walk [m/s]."""
+RESPONSE = 0.6
+"""What lies between a command and the velocity that it causes [s]."""
+SMOOTHED = 0.3
+"""Time over which the velocity is smoothed [s]: more than a step takes."""
+MOST = 0.5
+"""More than this is never made up for: somebody may hold the robot [m]."""
+
+
+class LegOdometry:
+    """Adds up the steps of the hind foot that carries the robot, which rolls on the ground without slipping.
+
+    Of two feet that are both down, it is the one that agrees better with the velocity so far: the other one slips.
+    """
+
+    def __init__(self, description: RobotDescription) -> None:
+        self._legs = [all_legs(description)[leg] for leg in HIND]
+        self._radius = description.toe_radius
+        self._before: tuple[FloatArray, FloatArray] | None = None
+        self._velocity = np.zeros(2)
+
+    def step(self, q: FloatArray, quat_WB: FloatArray) -> FloatArray:
+        """Return how far the base has come since the last call (2,), world axes [m].
+
+        Args:
+            q: Joints (12,) [rad].
+            quat_WB: Orientation of the base (4,), wxyz.
+        """
+        own = q.reshape(4, 3)[list(HIND)]
+        toes = np.stack([leg.forward(joints) for leg, joints in zip(self._legs, own, strict=True)])
+        knees = np.stack([leg.knee(joints) for leg, joints in zip(self._legs, own, strict=True)])
+        R = rotation_from_quat(quat_WB)
+        toes = toes @ R.T
+        shanks = toes - knees @ R.T
+        shanks = shanks / np.linalg.norm(shanks, axis=1, keepdims=True)
+        before = self._before or (toes, shanks)
+        self._before = (toes, shanks)
+        turned = np.cross(before[1], shanks)
+        rolled = self._radius * np.cross(turned, [0.0, 0.0, 1.0])
+        steps = (before[0] - toes + rolled)[:, :2]
+        steps[toes[:, 2] > toes[:, 2].min() + LIFTED] = np.inf
+        step = steps[int(np.argmin(np.linalg.norm(steps - self._velocity, axis=1)))]
+        self._velocity = KEPT * self._velocity + (1.0 - KEPT) * step
+        return step
+
+
+class KeptDistance:
+    """Corrects the velocity commands of a track so that the robot comes as far as they say.
+
+    A robot goes on for a while after its command changes. So it is told where it should be a little later, less what it
+    will have come by then.
+    """
+
+    def __init__(self, track: CommandTrack, description: RobotDescription) -> None:
+        self._track = track
+        self._odometry = LegOdometry(description)
+        self._dt = description.dt
+        self._fastest = float(description.commands.velocity[0])
+        ahead = np.stack([np.cos(track.heading), np.sin(track.heading)], axis=1)
+        self._way = np.cumsum(track.v[:, :1] * ahead, axis=0) * self._dt
+        self._row = 0
+        self._came = np.zeros(2)
+        self._velocity = np.zeros(2)
+        self._walks_there = False
+
+    def corrected(self, command: Command, q: FloatArray, quat_WB: FloatArray) -> Command:
+        """Return a command whose velocity makes up for what is lacking; called once each control step.
+
+        Args:
+            command: What is asked for; its heading is in the world.
+            q: Joints (12,) [rad].
+            quat_WB: Orientation of the base (4,), wxyz.
+        """
+        last = len(self._way) - 1
+        later = min(self._row + round(RESPONSE / self._dt), last)
+        start = command.heading - float(self._track.heading[min(self._row, last)])
+        self._row += 1
+        step = _turned(self._odometry.step(q, quat_WB), -start)
+        self._came = self._came + step
+        self._velocity = self._velocity + (step / self._dt - self._velocity) * self._dt / SMOOTHED
+        lacking = self._way[later] - self._came - RESPONSE * self._velocity
+        excess = lacking * max(0.0, 1.0 - MOST / max(float(np.linalg.norm(lacking)), MOST))
+        self._came = self._came + excess
+        along = float(_turned(lacking - excess, start - command.heading)[0])
+        wanted = float(self._track.v[later, 0]) if self._row <= last else 0.0
+        velocity = wanted + GAIN * along
+        if not wanted:
+            self._walks_there = abs(along) > (REACHED if self._walks_there else CORRECTED)
+            velocity = float(np.copysign(max(abs(velocity), SLOWEST), along)) if self._walks_there else 0.0
+        limited = float(np.clip(velocity, -self._fastest, self._fastest))
+        return Command(v=np.array([limited, command.v[1]]), heading=command.heading, p_BE=command.p_BE)
+
+
+def _turned(vector: FloatArray, angle: float) -> FloatArray:
+    """Return a vector (2,) turned by an angle [rad]."""
+    sine = np.sin(angle)
+    cosine = np.cos(angle)
+    return np.array([cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1]])
