@@ -17,13 +17,15 @@ KEPT = 0.6
 """Share of the last velocity in the one that the next step is compared with."""
 GAIN = 1.0
 """Velocity for each metre that is lacking [1/s]."""
-CORRECTED = 0.03
+STANDS = 0.05
+"""A robot that is faster the other way comes to a stand first [m/s]."""
+CORRECTED = 0.02
 """A robot that should stand, and is further away than this, walks there [m]."""
 REACHED = 0.005
 """It then walks until it is as near as this [m]."""
 SLOWEST = 0.1
 """Velocity with which it does so at least: slower ones the policies do not walk [m/s]."""
-RESPONSE = 0.6
+RESPONSE = 0.7
 """What lies between a command and the velocity that it causes [s]."""
 SMOOTHED = 0.3
 """Time over which the velocity is smoothed [s]: more than a step takes."""
@@ -105,11 +107,14 @@ class KeptDistance:
         lacking = self._way[later] - self._came - RESPONSE * self._velocity
         excess = lacking * max(0.0, 1.0 - MOST / max(float(np.linalg.norm(lacking)), MOST))
         self._came = self._came + excess
-        along = float(_turned(lacking - excess, start - command.heading)[0])
+        turn = start - command.heading
+        along = float(_turned(lacking - excess, turn)[0])
+        speed = float(_turned(self._velocity, turn)[0])
         wanted = float(self._track.v[later, 0]) if self._row <= last else 0.0
         velocity = wanted + GAIN * along
         if not wanted:
-            self._walks_there = abs(along) > (REACHED if self._walks_there else CORRECTED)
+            near = REACHED if self._walks_there else CORRECTED
+            self._walks_there = abs(along) > near and along * speed > -abs(along) * STANDS
             velocity = float(np.copysign(max(abs(velocity), SLOWEST), along)) if self._walks_there else 0.0
         limited = float(np.clip(velocity, -self._fastest, self._fastest))
         return Command(v=np.array([limited, command.v[1]]), heading=command.heading, p_BE=command.p_BE)

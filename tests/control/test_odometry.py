@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mimic.control.odometry import CORRECTED, KeptDistance, LegOdometry
+from mimic.records import Command, CommandTrack
+
+UPRIGHT = np.array([np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0])
+"""Base x is up."""
+
+
+def walk(speed: float, seconds: float) -> CommandTrack:
+    n = round(seconds / 0.02)
+    zeros = np.zeros(n)
+    v = np.stack([np.full(n, speed), zeros], axis=1)
+    return CommandTrack(t=0.02 * np.arange(n), v=v, heading=zeros, p_BE=np.zeros((n, 2, 3)))
+
+
+def command(speed: float) -> Command:
+    return Command(v=np.array([speed, 0.0]), heading=0.0, p_BE=np.zeros((2, 3)))
+
+
+def test_a_robot_whose_legs_rest_has_not_moved(description):
+    odometry = LegOdometry(description)
+    q = description.poses["upright"]
+    assert not np.any([odometry.step(q, UPRIGHT) for _ in range(5)])
+
+
+def test_a_base_that_leans_over_planted_feet_moves_where_it_leans(description):
+    odometry = LegOdometry(description)
+    q = description.poses["upright"]
+    odometry.step(q, UPRIGHT)
+    lean = np.deg2rad(5.0) / 2
+    forward = np.array(
+        [
+            UPRIGHT[0] * np.cos(lean) - UPRIGHT[2] * np.sin(lean),
+            0.0,
+            UPRIGHT[2] * np.cos(lean) + UPRIGHT[0] * np.sin(lean),
+            0.0,
+        ]
+    )
+    assert odometry.step(q, forward)[0] > 0.0
+
+
+@pytest.mark.parametrize("speed", [0.1, -0.1])
+def test_a_robot_that_does_not_come_forward_is_asked_for_more(description, speed):
+    kept = KeptDistance(walk(speed, 3.0), description)
+    q = description.poses["upright"]
+    asked = [kept.corrected(command(speed), q, UPRIGHT).v[0] for _ in range(150)]
+    assert abs(asked[-1]) > 1.5 * abs(asked[0])
+    assert np.max(np.abs(asked)) <= description.commands.velocity[0]
+
+
+def test_behind_its_track_a_robot_still_walks_the_rest(description):
+    kept = KeptDistance(walk(0.1, 1.0), description)
+    q = description.poses["upright"]
+    for _ in range(50):
+        kept.corrected(command(0.1), q, UPRIGHT)
+    assert kept.corrected(command(0.0), q, UPRIGHT).v[0] >= 0.1
+
+
+def test_a_robot_that_is_where_it_should_be_stands(description):
+    kept = KeptDistance(walk(0.5 * CORRECTED, 1.0), description)
+    q = description.poses["upright"]
+    for _ in range(50):
+        kept.corrected(command(0.5 * CORRECTED), q, UPRIGHT)
+    assert kept.corrected(command(0.0), q, UPRIGHT).v[0] == 0.0
