@@ -25,7 +25,7 @@ REACHED = 0.005
 """It then walks until it is as near as this [m]."""
 SLOWEST = 0.1
 """Velocity with which it does so at least: slower ones the policies do not walk [m/s]."""
-RESPONSE = 0.7
+RESPONSE = 1.0
 """What lies between a command and the velocity that it causes [s]."""
 SMOOTHED = 0.3
 """Time over which the velocity is smoothed [s]: more than a step takes."""
