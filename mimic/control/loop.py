@@ -70,7 +70,6 @@ def run_policy(
     sink: Sink | None = None,
     progress: Callable[[int, int], None] | None = None,
     safety: Safety | None = None,
-    keeps_distance: bool = False,
 ) -> RunResult:
     """Play commands on a plant through a policy, under supervision.
 
@@ -90,7 +89,6 @@ def run_policy(
         sink: Called with every tick.
         progress: Called with the ticks done and the ticks expected.
         safety: Supervisor, recorder, and how the run begins and ends.
-        keeps_distance: Whether velocities are corrected until the robot has come as far as they say.
 
     Returns:
         The log of every tick, and how the run ended. A failure after the first tick is reported in ``error``.
@@ -112,8 +110,9 @@ def run_policy(
     sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
     report = None if progress is None else partial(_report, progress, expected + sit_ticks)
     run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
-    keeps = keeps_distance and isinstance(track, CommandTrack)
-    distance = KeptDistance(track, plant.description) if keeps else None
+    distance = None
+    if isinstance(track, CommandTrack) and track.keeps_distance and track.v.any():
+        distance = KeptDistance(track, plant.description)
     error: Exception | None = None
     try:
         with safety.signals.interrupts_counted() if counted else nullcontext():

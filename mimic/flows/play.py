@@ -169,7 +169,6 @@ def play(
             sink=sink,
             progress=progress,
             safety=safety,
-            keeps_distance=motion is not None and motion.script is not None and bool(motion.commands.v.any()),
         )
     return Run(motion=motion, result=result, description=description, inputs=inputs)
 

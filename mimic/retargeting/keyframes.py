@@ -40,4 +40,5 @@ def keyframe_commands(motion: KeyFrames, reach: Reach, settings: RetargetSetting
     report = {**targets.report, "rate_s": motion.seconds / len(motion.frames)}
     targets = dataclasses.replace(targets, report=report)
     v = np.array([frame.velocity for frame in motion.frames])[row]
-    return CommandTrack(t=t, v=v, heading=heading, p_BE=targets.p_BE, robot=targets.robot), targets
+    commands = CommandTrack(t=t, v=v, heading=heading, p_BE=targets.p_BE, robot=targets.robot, keeps_distance=True)
+    return commands, targets
