@@ -107,11 +107,12 @@ COMMANDS = {
     ),
     "export": (
         "mimic.cli.export:export",
-        "Write a run as a LeRobot dataset, CSV, NPZ or MCAP.",
+        "Write a run as a LeRobot dataset, CSV, NPZ or MCAP; or a policy for rl_sar.",
         "mimic export runs/video -o dataset",
         "mimic export runs/video --format csv -o run.csv",
         "mimic export runs/video --format mcap -o run.mcap",
         "mimic export out -o dataset --no-video",
+        "mimic export stand_track --robot-model go2 --format rl_sar -o policy/go2/mimic",
     ),
     "view": (
         "mimic.cli.play:view",
