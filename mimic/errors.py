@@ -1,6 +1,7 @@
 """Exception classes, sorted by what the caller can do about them."""
 
 import re
+from pathlib import Path
 
 
 class MimicError(Exception):
@@ -26,9 +27,12 @@ class MissingExtra(MimicError, ImportError):
 
 def install_line(extra: str) -> str:
     """Return the command that installs the packages of an optional extra, also outside a checkout of mimic."""
-    from importlib.metadata import requires
+    from importlib.metadata import PackageNotFoundError, requires
 
-    marked = [line.partition(";") for line in requires("mimic-retarget") or ()]
+    try:
+        marked = [line.partition(";") for line in requires("mimic-retarget") or ()]
+    except PackageNotFoundError:  # run from a checkout that was not installed
+        return f"pip install '{Path(__file__).parents[1]}[{extra}]'"
     wanted = [name.strip() for name, _, marker in marked if re.search(rf"extra == .{extra}\b", marker)]
     return " ".join(["pip install", *(f"'{name}'" for name in wanted)])
 

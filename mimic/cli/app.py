@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shlex
 import sys
 from collections.abc import Mapping
 from difflib import get_close_matches
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cyclopts import App, Parameter
-from cyclopts.exceptions import CycloptsError, UnknownOptionError
+from cyclopts.exceptions import CycloptsError, UnknownOptionError, UnusedCliTokensError
 
 from mimic.cli.terminal.exit_status import DONE, STOPPED, USER_ERROR
 from mimic.errors import ConfigError, MimicError
@@ -299,6 +300,8 @@ def run(arguments: list[str]) -> int:
 
 def _explained(error: CycloptsError) -> object:
     """Return an error of the parser; for an option that is a setting, how to set it."""
+    if isinstance(error, UnusedCliTokensError):
+        return f"{shlex.join(error.unused_tokens or ())} is one argument too many; see --help"
     if isinstance(error, UnknownOptionError):
         from mimic.cli.settings_file import where_to_set
 

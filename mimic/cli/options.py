@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +21,7 @@ from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.config.sysid import CalibrateSettings, LogSettings
+from mimic.errors import ConfigError
 
 if TYPE_CHECKING:
     from mimic.flows.motions.motion import InputSettings
@@ -43,6 +45,18 @@ def input_settings(**parts: Any) -> InputSettings:
     return InputSettings(**{name: part for name, part in parts.items() if part is not None})
 
 
+def _check_robot(kind: Any, name: str | None) -> None:
+    """Refuse a name that is nearly that of a board: as a CAN interface nobody would find it."""
+    if name is None:
+        return
+    from mimic.hardware.robot.board_wiring import BOARDS
+
+    close = get_close_matches(name.lower(), BOARDS, n=1, cutoff=0.8)
+    if close and name not in BOARDS:
+        raise ConfigError(f"there is no robot {name}; did you mean {close[0]}?")
+
+
+BusUrl = Annotated[str, Parameter(validator=_check_robot)]
 Flag = Parameter(negative="")
 Out = Annotated[Path | None, Parameter(name=["--out", "-o"], group=OUTPUT)]
 RequiredOut = Annotated[Path, Parameter(name=["--out", "-o"], group=OUTPUT)]

@@ -23,7 +23,7 @@ def play(
     /,
     *,
     sim: Annotated[bool, o.Flag] = False,
-    robot: str | None = None,
+    robot: o.BusUrl | None = None,
     text: str | None = None,
     plan: Annotated[bool, o.Flag] = False,
     camera: str | None = None,

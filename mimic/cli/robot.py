@@ -142,7 +142,7 @@ def _load_row(load: Sequence[float], expected: Sequence[float]) -> str:
     return ", ".join(f"{a:.1%} (estimated {b:.1%})" for a, b in zip(load, expected, strict=True))
 
 
-def scan(bus_url: str, /, *, bus: o.WiringFile = None) -> int:
+def scan(bus_url: o.BusUrl, /, *, bus: o.WiringFile = None) -> int:
     """Find motors and IMU on the buses; nothing moves.
 
     Parameters
@@ -175,7 +175,7 @@ def scan(bus_url: str, /, *, bus: o.WiringFile = None) -> int:
 
 
 def zero(
-    bus_url: str,
+    bus_url: o.BusUrl,
     /,
     *,
     again: Annotated[bool, o.Flag] = False,
@@ -214,7 +214,7 @@ def zero(
     return DONE
 
 
-def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.WiringFile = None) -> int:
+def wire(bus_url: o.BusUrl, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.WiringFile = None) -> int:
     """Find out by hand which motor moves which joint, and how the IMU sits, and write the wiring file.
 
     Nothing moves by itself: the motors stay off. Hang the robot up so that its legs can be moved, and put it down for
@@ -238,7 +238,7 @@ def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.Wi
     return DONE
 
 
-def damp(bus_url: str, /, *, bus: Annotated[o.Look, o.only("bus", "wiring", "interface")] = None) -> int:
+def damp(bus_url: o.BusUrl, /, *, bus: Annotated[o.Look, o.only("bus", "wiring", "interface")] = None) -> int:
     """Damp all motors until the robot rests, and switch them off: for motors that a program left on.
 
     Parameters
@@ -256,7 +256,7 @@ def damp(bus_url: str, /, *, bus: Annotated[o.Look, o.only("bus", "wiring", "int
     return DONE
 
 
-def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o.Look = None) -> int:
+def check(bus_url: o.BusUrl, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o.Look = None) -> int:
     """Run the pre-flight check alone; nothing moves.
 
     Parameters
@@ -279,7 +279,7 @@ def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o
 
 
 def watch(
-    bus_url: str,
+    bus_url: o.BusUrl,
     /,
     *,
     seconds: float | None = None,
@@ -347,7 +347,7 @@ def _watched(seen: Watched) -> Table:
 
 
 def probe(
-    bus_url: str,
+    bus_url: o.BusUrl,
     /,
     *,
     out: o.RequiredOut = Path("probe.parquet"),

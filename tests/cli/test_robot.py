@@ -46,3 +46,17 @@ def test_a_question_that_nobody_can_answer_is_one_line(monkeypatch, capsys):
     said = capsys.readouterr().err
     assert "a question could not be answered" in said
     assert "--yes" in said
+
+
+@pytest.mark.parametrize(
+    ("command", "board"),
+    [(["--robot", "cyberdog"], "cyberdog2"), (["robot", "check", "Go2"], "go2"), (["robot", "damp", "GO2"], "go2")],
+)
+def test_a_name_that_is_nearly_a_robots_is_no_bus(command, board, capsys):
+    assert main(command) == 2
+    assert capsys.readouterr().err == f"mimic: there is no robot {command[-1]}; did you mean {board}?\n"
+
+
+def test_an_argument_too_many_is_named(capsys):
+    assert main(["emulate", "cyberdog2"]) == 2
+    assert capsys.readouterr().err == "mimic: cyberdog2 is one argument too many; see --help\n"

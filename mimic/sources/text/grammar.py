@@ -21,7 +21,7 @@ from mimic.sources.text.meaning import Action, parse
 
 STEP_LENGTH = 0.25  # [m]
 WALK_METRES = 0.5  # unless a distance, a time or a speed is said [m]
-WALK_SPEED = {"forward": 0.25, "back": 0.15}  # unless another is said; the shipped policy walks back with 0.18 [m/s]
+WALK_SPEED = {"forward": 0.25, "back": 0.15}  # unless another is said [m/s]
 START_SECONDS = 0.75
 REVERSE_SECONDS = 1.65  # what a walk takes beside its distance: to get going, to turn back [s]
 STOP_SECONDS = 0.5
