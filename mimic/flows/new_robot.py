@@ -83,12 +83,16 @@ def new_robot(mjcf: Path, out: Path) -> tuple[RobotDescription, int]:
     leave_out(spec, mjcf)
     name_shapes(spec)
     model = spec.compile()
+    model.jnt_range[model.jnt_limited == 0] = -np.pi, np.pi
     legs = _legs(model, mjcf)
     own = _derived(model, legs, torque, mjcf)
     text, guessed = _written(own, out.name)
     out.mkdir()
     try:
-        shutil.copy(mjcf, out / mjcf.name)
+        text_of_model = read_text(mjcf)
+        if "<include" in text_of_model:  # of files that are not beside the copy
+            text_of_model = spec.to_xml()
+        (out / mjcf.name).write_text(text_of_model, encoding="utf-8")
         (out / FILE).write_text(text, encoding="utf-8")
         description = load_description(out)
         read_model(description)

@@ -118,3 +118,19 @@ def test_a_model_of_another_kind_is_refused_and_nothing_is_left(change, said, tm
 def test_a_folder_that_is_there_is_kept(tmp_path):
     with pytest.raises(ConfigError, match="exists; name another folder"):
         new_robot(Path(shipped("assets") / "go2" / "go2.xml"), tmp_path)
+
+
+def test_a_joint_without_limits_turns_all_the_way_and_what_a_model_includes_comes_along(tmp_path):
+    spec = plain_go2()
+    for joint in spec.joints:
+        if joint.name.endswith("_hip"):
+            joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    spec.compile()
+    floor = tmp_path / "floor.xml"
+    floor.write_text('<mujoco><worldbody><geom name="ground" type="plane" size="1 1 .1"/></worldbody></mujoco>')
+    mjcf = tmp_path / "go2.xml"
+    mjcf.write_text(spec.to_xml().replace("<worldbody>", '<include file="floor.xml"/><worldbody>', 1))
+    found, _ = new_robot(mjcf, tmp_path / "mine")
+    assert found.q_max[1] == pytest.approx(np.pi)
+    floor.unlink()
+    assert read_model(load_description(tmp_path / "mine")).geom("ground").name == "ground"

@@ -87,12 +87,8 @@ def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray],
         seconds = said.get("seconds", STOP_SECONDS if action.way == "stop" else HOLD_SECONDS)
         timeline.base.append((seconds, 0.0, 0.0))
         return f"{'stop' if action.way == 'stop' else 'wait'} {seconds:g} s"
-    if action.verb == "turn":
-        degrees = said.get("degrees", 90.0)
-        angle = math.radians(degrees) * (1.0 if action.sides == ("left",) else -1.0)
-        seconds = said.get("seconds", abs(angle) / (TURN_RATE * min(action.speed, FASTEST_TURN)))
-        timeline.base.append((seconds, 0.0, angle))
-        return f"turn {action.sides[0]} {degrees:g}° in {seconds:.3g} s"
+    if action.verb == "turn" or "degrees" in said:
+        return _turn(action, timeline)
     most = float(reach.description.commands.velocity[0])
     metres = STEP_LENGTH * said["times"] if "times" in said else said.get("metres")
     speed = said.get("mps", min(most, WALK_SPEED[action.way] * action.speed))
@@ -109,6 +105,21 @@ def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray],
     timeline.base.append((seconds, sign * speed, 0.0))
     count = f" {said['times']:g} times," if said.get("times", 1.0) > 1 else ""
     return f"{action.verb} {action.way}{count} {speed * seconds:.3g} m in {seconds:.3g} s"
+
+
+def _turn(action: Action, timeline: _Timeline) -> str:
+    """Turn on the spot, or walk in a circle."""
+    said = action.amounts
+    degrees = said.get("degrees", 90.0)
+    side = (*action.sides, "left")[0]
+    angle = math.radians(degrees) * (1.0 if side == "left" else -1.0)
+    seconds = said.get("seconds", abs(angle) / (TURN_RATE * min(action.speed, FASTEST_TURN)))
+    if action.verb == "turn":
+        timeline.base.append((seconds, 0.0, angle))
+        return f"turn {side} {degrees:g}° in {seconds:.3g} s"
+    speed = said.get("mps", WALK_SPEED[action.way] * min(action.speed, FASTEST_TURN))
+    timeline.base.append((seconds, -speed if action.way == "back" else speed, angle))
+    return f"walk {action.way} in a circle to the {side}, {speed * seconds / math.pi:.2g} m across, in {seconds:.3g} s"
 
 
 def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:

@@ -21,7 +21,7 @@ from mimic.sources.text.words import VERBS, grammar, prepared, vocabulary
 PACES = {"SLOW": 0.6, "FAST": 1.5, "TWICE_AS_FAST": 2.0, "HALF_AS_FAST": 0.5}
 FACTORS = {
     "MINUTES": 60.0, "CENTIMETRES": 0.01, "FEET": 0.3048, "INCHES": 0.0254, "HALF_TURN": 180.0, "QUARTER_TURN": 90.0,
-    "FULL_TURN": 360.0, "TURN": 360.0,
+    "FULL_TURN": 360.0, "TURN": 360.0, "CIRCLE": 360.0,
 }  # fmt: skip
 _SMALL = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen"
 _TENS = "twenty thirty forty fifty sixty seventy eighty ninety"
@@ -44,6 +44,7 @@ POSTURES = {  # for each verb the posture that a direction means
     **dict.fromkeys(("STRETCH", "PLACE"), _EACH_WAY),
 }
 BASE = ("step", "walk", "turn", "wait")  # verbs of the base; all others move hands
+WAYS_GONE = ("step", "walk", "turn")
 GESTURES = ("wave", "punch", "hook", "uppercut", "cycle")
 BOXED = {
     "JAB": ("punch", "left"),
@@ -68,8 +69,22 @@ IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT", "ONE_TWO"}
 BOTH = ("left", "right")
 OPPOSITE = {"left": "right", "right": "left"}
 VERBS_SAID = "step, walk, turn, stop, wait, wave, punch, jab, raise, lower, open, put, move, hold, point or stretch"
-AMOUNTS = {"seconds", "metres", "mps", "degrees", "times", "turns", "count", "bare", "steps", "every", "pause"}
-CLAUSES = {"step", "walk", "turn", "still", "gesture", "place", "pose", "repeat", "switch", "more"}
+AMOUNTS = {
+    "seconds",
+    "metres",
+    "mps",
+    "degrees",
+    "times",
+    "turns",
+    "count",
+    "bare",
+    "steps",
+    "every",
+    "pause",
+    "circle",
+}
+NAMED = {"GUARD": "guard", "T_POSE": "open"}  # postures of both hands
+CLAUSES = {"step", "walk", "turn", "still", "gesture", "place", "pose", "repeat", "switch", "more", "forbid", "without"}
 
 
 @dataclass(kw_only=True, slots=True)
@@ -286,8 +301,8 @@ def _note_amount(now: Clause, said: _Amount) -> None:
         setattr(now, said.name, said.value)
         return
     kinds = {token.type for token in said.tokens}
-    name = {"count": "times", "steps": "times", "turns": "degrees"}.get(said.name, said.name)
-    if said.name == "steps" or (now.kind == "" and kinds & {"HALF_TURN", "QUARTER_TURN", "FULL_TURN"}):
+    name = {"count": "times", "steps": "times", "turns": "degrees", "circle": "degrees"}.get(said.name, said.name)
+    if said.name == "steps" or (now.kind == "" and kinds & {"HALF_TURN", "QUARTER_TURN", "FULL_TURN", "CIRCLE"}):
         now.kind = "STEP" if said.name == "steps" else "TURN"
     now.stays = now.stays and "IN" not in kinds
     now.amount(name, said.value)
@@ -309,14 +324,15 @@ def _note_word(now: Clause, token: Token) -> None:
         now.ways = now.ways | {"back"}
     elif token.type in VERBS or token.type in (
         "TURN_AROUND",
-        "GUARD",
+        "COME_BACK",
+        *NAMED,
         "HIGH_FIVE",
         "ONE_TWO",
         "SWITCH",
         "REPEAT",
         "REPEAT_ALL",
     ):
-        now.kind = now.kind if now.kind == "STEP" or (token.type == "GUARD" and now.kind == "LOWER") else token.type
+        now.kind = now.kind if now.kind == "STEP" or (token.type in NAMED and now.kind == "LOWER") else token.type
     else:
         if token.type in ("HAND", "LEFT", "RIGHT"):
             now.last = ""
@@ -336,6 +352,8 @@ class _Reader:
         self.said: Clause | None = None
         self.walk: Action | None = None
         self.turns: list[Action] = []  # since it faced as at first, or turned back
+        self.way: list[Action] = []  # walks and turns since it came back
+        self.forbidden: list[tuple[int, Clause]] = []  # from which group on
         self.at: dict[str, str] = {}  # posture in which each hand is
         self.switched = False
 
@@ -353,6 +371,11 @@ class _Reader:
                 found = [*found, found[0]]
             self.groups += [group for groups in found for group in groups]
         self.groups += self._switch(None)
+        for start, clause in self.forbidden:
+            for action in (action for group in self.groups[start:] for action in group):
+                clause.refuse(_is_forbidden(action, clause), "is said of something that the sentence asks for")
+        if not self.groups:
+            raise SourceError("the sentence says only what not to do; say what to do, too")
         return self.groups
 
     def _list(self, tree: Tree[Any]) -> Groups:
@@ -388,6 +411,8 @@ class _Reader:
         early = [self._unit([clause]) for clause in item.during] if item.leads else []
         groups = self._joined(item.clauses) * item.rounds
         late = [self._unit([clause]) for clause in item.during] if not item.leads else []
+        if not groups and item.during:
+            raise item.during[0].error("goes with nothing; say what goes on meanwhile")
         for more in (*early, *late):
             if len(groups) > 1 and item.clear:
                 raise SourceError(f"'{item.during[0].text}' goes with several actions; say with which")
@@ -409,6 +434,8 @@ class _Reader:
             if unit[0].repeats:
                 return [*groups, *self._again(unit[0], [*self.groups, *groups])]
             new = self._unit(unit)
+            if not new:
+                continue
             at_once = any(clause.has("TOGETHER") for clause in unit)
             if not groups:
                 wrong = at_once and (len(new) > 1 or len(new[0]) + len(new[0][0].sides) < 3)
@@ -438,6 +465,9 @@ class _Reader:
 
     def _unit(self, unit: list[Clause]) -> Groups:
         """Return the groups of clauses with one verb: what is said behind the last one belongs to all of them."""
+        if unit[0].rule in ("forbid", "without"):
+            self.forbidden.append((len(self.groups), unit[0]))
+            return []
         if self._ends_the_walk(unit[0]):
             return []
         groups = self._switch(unit[0])
@@ -533,7 +563,7 @@ class _Reader:
         takes = _takes(action)
         for name, value in action.amounts.items():
             now.refuse(name not in takes, f"has {value:g} {name}; {action.verb} takes {', '.join(takes)}")
-        for much in ({"metres", "seconds", "mps"}, {"times", "metres"}):
+        for much in ({"metres", "seconds", "mps"}, {"times", "metres"}, {"metres", "degrees"}):
             now.refuse(much <= action.amounts.keys(), f"says too much at once: {', '.join(action.amounts)}")
         greeting = now.words.get("GREETING", [""])[0]
         now.refuse(greeting and action.verb != "wave", f"has {greeting!r}, which only goes with 'wave'")
@@ -541,6 +571,8 @@ class _Reader:
             self.hands = action.sides
             self.at |= dict.fromkeys(action.sides, action.way)
         self.walk = action if action.verb in ("walk", "step") else self.walk
+        if action.verb in WAYS_GONE:
+            self.way.append(action)
         self.before = action
         self.said = now
         return action
@@ -600,17 +632,36 @@ class _Reader:
         now.refuse(now.has("HAND") and now.kind != "HOLD", "is not something a hand does")
         if now.kind in ("STOP", "WAIT", "HOLD"):
             return Action(verb="wait", way=now.kind.lower(), amounts=dict(now.amounts))
-        verb = {"STEP": "step", "WALK": "walk", "MOVE": "walk"}.get(now.kind, "turn")
+        verb = {"STEP": "step", "WALK": "walk", "MOVE": "walk", "COME_BACK": "walk"}.get(now.kind, "turn")
         if now.has("LITTLE"):
             now.amount(*LITTLE[verb])
         if verb == "turn":
             return self._turn(now, speed)
+        if now.kind == "COME_BACK":
+            return self._come_back(now, speed)
         sides = [kind.lower() for kind in ("LEFT", "RIGHT") if kind in now.words]
-        now.refuse(sides, f"goes sideways, and the robot does not {verb} sideways; turn {'/'.join(sides)} first")
+        now.refuse(
+            sides and "degrees" not in now.amounts,
+            f"goes sideways, and the robot does not {verb} sideways; turn {'/'.join(sides)} first",
+        )
         wrong = not now.ways <= {"forward", "back"} or len(now.ways) > 1
         now.refuse(wrong, f"has directions in which the robot does not {verb}; say forward or back")
         way = next(iter(now.ways), "forward")
-        return Action(verb=verb, way=way, amounts=dict(now.amounts), speed=speed)
+        return Action(verb=verb, sides=tuple(sides), way=way, amounts=dict(now.amounts), speed=speed)
+
+    def _come_back(self, now: Clause, speed: float) -> Action:
+        """Return the one walk before, the other way; the same way if the robot has turned around since."""
+        walks = [n for n, action in enumerate(self.way) if action.verb != "turn"]
+        now.refuse(
+            len(walks) != 1 and not (now.amounts and not self.way), "does not say how far; say walk back 1 metre"
+        )
+        walk = self.way[walks[0]] if walks else Action(verb="walk", way="forward")
+        turned = sum(turn.amounts.get("degrees", 90.0) for turn in self.way[walks[0] + 1 :]) if walks else 0.0
+        unclear = turned not in (0.0, 180.0) or now.ways - {"back"} or "degrees" in walk.amounts
+        now.refuse(unclear, "does not say how; say walk back 1 metre")
+        way = walk.way if turned else "forward" if walk.way == "back" else "back"
+        self.way = []
+        return replace(walk, way=way, amounts=dict(now.amounts or walk.amounts), speed=speed)
 
     def _turn(self, now: Clause, speed: float) -> Action:
         sides = [kind.lower() for kind in ("LEFT", "RIGHT") for _ in now.words.get(kind, [])]
@@ -650,9 +701,9 @@ class _Reader:
             now.refuse(not amounts, "does not say how long or how often")
             amounts["times"] = amounts.get("times") or max(1.0, round(amounts["seconds"] / now.every))
             amounts["seconds"] = now.every * amounts["times"]
-        if now.kind == "GUARD":
+        if now.kind in NAMED:
             action.verb = "place"
-            action.way = "guard"
+            action.way = NAMED[now.kind]
         elif now.rule == "gesture" or now.kind in ("WAVE", "PUNCH", "ONE_TWO", *BOXED):
             action.verb = BOXED.get(now.kind, ("punch" if now.kind == "ONE_TWO" else now.kind.lower(), ""))[0]
             allowed = {"wave": {"up and down", "up"}, "cycle": {"up and down", "up"}}.get(action.verb, {"forward"})
@@ -689,7 +740,7 @@ class _Reader:
     def _sides(self, now: Clause) -> tuple[str, ...]:
         """Return the hands that a clause names."""
         named = [word for kind in ("HAND", "LEFT", "RIGHT") for word in now.words.get(kind, [])]
-        if now.has(*IN_TURN) or now.kind in ("ONE_TWO", "GUARD"):
+        if now.has(*IN_TURN) or now.kind in ("ONE_TWO", *NAMED):
             now.refuse(now.has("LEFT", "RIGHT"), "is not something that both hands do in turn")
             return BOTH
         now.refuse(len(named) > 1, "names more than one hand; join them with 'and' or 'then'")
@@ -756,7 +807,17 @@ def _moves_base(now: Clause) -> bool:
     """Return whether a clause is about the base: "move forward", but "move the left hand up"."""
     if now.kind in ("MOVE", "HOLD"):
         return now.rule != "place"
-    return now.kind in ("STEP", "WALK", "STOP", "WAIT", "TURN", "SPIN", "TURN_AROUND")
+    return now.kind in ("STEP", "WALK", "COME_BACK", "STOP", "WAIT", "TURN", "SPIN", "TURN_AROUND")
+
+
+def _is_forbidden(action: Action, said: Clause) -> bool:
+    """Return whether an action is what must not be done: with the hand that is named, or of the kind that is."""
+    if said.kind in ("STEP", "WALK", "TURN", "SPIN", "TURN_AROUND"):
+        return (action.verb == "turn") == said.kind.startswith(("TURN", "SPIN")) and action.verb in WAYS_GONE
+    if not said.has("HAND", "LEFT", "RIGHT"):
+        return said.kind != "MOVE" or action.verb in WAYS_GONE
+    named = {word for kind in ("HAND", "LEFT", "RIGHT") for words in said.words.get(kind, []) for word in words.split()}
+    return not action.moves_base and bool(named & {*action.sides} or not named & {*BOTH})
 
 
 def _takes(action: Action) -> tuple[str, ...]:
@@ -765,7 +826,7 @@ def _takes(action: Action) -> tuple[str, ...]:
         return ("times", "seconds")
     moves = {
         "step": ("times", "seconds", "metres", "mps"),
-        "walk": ("seconds", "metres", "mps"),
+        "walk": ("seconds", "metres", "mps", "degrees"),
         "turn": ("degrees", "seconds"),
     }
     return moves.get(action.verb, ("seconds",))

@@ -19,6 +19,8 @@ VERBS = {
 SHORTEST = 4  # letters of a word in which one may be wrong; two may have changed places in any
 _REWRITTEN = (  # phrases that mean others
     (r"\bback and forth\b", "forward and back"),
+    (r"\bdo not\b", "don't"),
+    (r"\bshadow ?(ing )?box(ing)?\b", r"\1punch in turn"),
     (r"\bretreat(ing)?\b", r"walk\1 back"),
     (r"\b(half|quarter)( of)? an? ", r"\1 "),
     (r"\ban?(other)? (?=(second|minute|met(re|er)|foot)\b)", "1 "),
@@ -108,11 +110,20 @@ def prepared(sentence: str) -> tuple[str, dict[str, str]]:
         text = re.sub(phrase, meaning, text)
     text = re.sub(rf"(?<![\w'])(?:{grammar().get_terminal('FILLER').pattern.to_regexp()})", " ", text)
     text = re.sub(rf"\band after (?=(?:{'|'.join(set(gerunds.values()))})\b)", "then ", text)
+    text = _after_what_is_done(" ".join(text.split()), gerunds)
     if found := re.search(r"\bstop ing (?!move)\w+", text):
         raise SourceError(f"'{found[0].replace(' ing', '')}': nothing goes on that could stop; say what to do instead")
-    return re.sub(r"^[\s,;.!?]+(ing )?|^ing |(?<=[,;.!?])\s*,|[\s,]+$", "", " ".join(text.split())), {
+    return re.sub(r"^[\s,;.!?]+(ing )?|^ing |(?<=[,;.!?])\s*,|[\s,]+$", "", text), {
         word: meant for word, meant in read.items() if word != meant
     }
+
+
+def _after_what_is_done(text: str, gerunds: dict[str, str]) -> str:
+    """Return "after have turned" as "after ing turn"; behind a clause that says that, "after ing turn," is "then"."""
+    done = {form.removesuffix("ing") + "ed": verb for form, verb in gerunds.items()}
+    perfect = rf"\b(after|before) (?:have |has |having )?({'|'.join(done)})\b"
+    text = re.sub(perfect, lambda found: f"{found[1]} ing {done[found[2]]}", text)
+    return re.sub(r"\b([a-z]+)\b(.*?),? (?:and )?after ing \1,", r"\1\2, then", text)
 
 
 def _split(word: str, gerunds: dict[str, str]) -> str:
