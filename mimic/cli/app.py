@@ -355,5 +355,5 @@ def _check_command(arguments: list[str]) -> None:
     if word in names or Path(word).exists() or Path(word).suffix or os.sep in word:
         return
     close = get_close_matches(word, names, n=1)
-    hint = f"did you mean: mimic {close[0]}" if close else f"commands are {', '.join(names)}"
+    hint = f"did you mean: mimic {close[0]}" if close else f"commands are {', '.join(names)}; a sentence follows --text"
     raise ConfigError(f"there is no command and no file {word!r}; {hint}")
