@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import textwrap
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,61 +22,27 @@ from mimic.policy.contract import DQ_CLIP, DQ_SCALE, GYRO_CLIP, GYRO_SCALE, INVE
 from mimic.policy.runtime import Policy, find_policy
 from mimic.version import __version__
 
-SCALE = {"gyro": GYRO_SCALE, "joint_velocity": DQ_SCALE}
-"""Factor of a term whose program gives it in units of its own [s/rad]."""
-CLIP = {"gyro": GYRO_CLIP / GYRO_SCALE, "joint_velocity": DQ_CLIP / DQ_SCALE}
-"""Largest value of such a term before that factor [rad/s]."""
-KEPT = (
-    *("q_min", "q_max", "velocity_max", "neutral_toes", "toe_low", "toe_high", "stand_up_steps", "blend_steps"),
-    *("clock_hz", "clock_fade", "walk_speed", "walk_turn", "delay", "speed_flat", "speed_max"),
-)
-"""Fields of a contract that no program has a key for."""
+TERMS = {
+    "joint_position": ("dof_pos", "joint_pos_rel"),
+    "down": ("gravity_vec", "projected_gravity"),
+    "last_action": ("actions", "last_action"),
+    "gyro": ("ang_vel", "base_ang_vel"),
+    "joint_velocity": ("dof_vel", "joint_vel_rel"),
+}
+"""Terms of a contract that both programs know, under the names of rl_sar and unitree_rl_lab."""
+SCALED = {"gyro": (GYRO_SCALE, GYRO_CLIP), "joint_velocity": (DQ_SCALE, DQ_CLIP)}
+"""Factor [s/rad] and, behind it, the largest value of terms that the programs give in rad/s."""
 STEPS = 4
 """Repetitions of a command within a control step of rl_sar, as in its own files."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Program:
-    """How a program names what it observes, and what its loop does otherwise than mimic's."""
-
-    terms: dict[str, str]
-    """Its names of terms of a contract."""
-    prefix: str
-    """Of the names of terms that it lacks."""
-    where: str
-    """Where such a term is added."""
-    lacks: tuple[str, ...]
-    """What its loop does otherwise."""
-
-
-RL_SAR = Program(
-    terms={
-        "joint_position": "dof_pos",
-        "down": "gravity_vec",
-        "last_action": "actions",
-        "gyro": "ang_vel",
-        "joint_velocity": "dof_vel",
-    },
-    prefix="mimic/",
-    where="RL::ComputeObservation; it skips a name that it does not know, and the network then refuses its input",
-    lacks=(
+HEADING = {
+    "rl_sar": (
         "Its history begins with zeros: fill it with the first frame.",
         "It sends q_des as it is: clip it to q_min and q_max.",
+        "Add these terms to RL::ComputeObservation; it skips unknown ones, and the network then refuses its input:",
     ),
-)
-RL_LAB = Program(
-    terms={
-        "joint_position": "joint_pos_rel",
-        "down": "projected_gravity",
-        "last_action": "last_action",
-        "gyro": "base_ang_vel",
-        "joint_velocity": "joint_vel_rel",
-    },
-    prefix="mimic_",
-    where="REGISTER_OBSERVATION; it does not start before",
-    lacks=(),
-)
-PROGRAMS = {"rl_sar": RL_SAR, "unitree_rl_lab": RL_LAB}
+    "unitree_rl_lab": ("Add these terms with REGISTER_OBSERVATION; it does not start before:",),
+}
+"""What the loop of a program does otherwise, and where the terms are added that it lacks."""
 
 
 def export_policy(policy: str | Path, out: Path, form: str, *, robot: str = DEFAULT_ROBOT) -> list[str]:
@@ -104,11 +69,9 @@ def export_policy(policy: str | Path, out: Path, form: str, *, robot: str = DEFA
     description = load_robot(robot)
     path = find_policy(policy, description.name)
     contract = Policy(path, description).contract
-    program = PROGRAMS[form]
-    unknown = [program.prefix + name for name, _ in (*contract.terms, *contract.once) if name not in program.terms]
     order, notes = _order(description.name)
     if form == "rl_sar":
-        settings = _rl_sar(contract, f"{description.name}/{out.name}", order)
+        settings = {f"{description.name}/{out.name}": _rl_sar(contract, order)}
         network = path.read_bytes()
         places = (out / "config.yaml", out / "policy.onnx")
     else:
@@ -121,89 +84,93 @@ def export_policy(policy: str | Path, out: Path, form: str, *, robot: str = DEFA
     for place, content in zip(places, (text.encode(), network), strict=True):
         with store.written_whole(place) as part:
             part.write_bytes(content)
-    return unknown
+    return [_name(term, form) for term, _ in (*contract.terms, *contract.once) if term not in TERMS]
 
 
-def _order(robot: str) -> tuple[list[int], tuple[str, ...]]:
+def _name(term: str, form: str) -> str:
+    """Return what a program calls a term."""
+    if term in TERMS:
+        return TERMS[term][form != "rl_sar"]
+    return f"mimic{'/' if form == 'rl_sar' else '_'}{term}"
+
+
+def _order(robot: str) -> tuple[list[int], str]:
     """Return the place of each joint in the robot's messages, and what else is to be known of them."""
     from mimic.hardware.go2.wiring import load_go2
     from mimic.hardware.stock.wiring import load_board
 
     load = {"cyberdog2": load_board, "go2": load_go2}.get(robot)
     if load is None:
-        return list(range(12)), (f"The order of {robot}'s messages is not known: the mapping of joints is to be set.",)
+        return list(range(12)), "not known: set the mapping of joints"
     wiring = load()
-    turned = f"The robot's messages have these signs of joints: {wiring.sign.astype(int).tolist()}."
-    return wiring.index.tolist(), (turned,) * bool(np.any(wiring.sign < 0))
+    return wiring.index.tolist(), f"as in the mapping of joints, with signs {wiring.sign.astype(int).tolist()}"
 
 
-def _rl_sar(contract: PolicyContract, name: str, order: list[int]) -> dict[str, Any]:
+def _rl_sar(contract: PolicyContract, order: list[int]) -> dict[str, Any]:
     """Return what a config.yaml holds."""
     if contract.once:
         raise ConfigError(
             f"rl_sar repeats every term with the history, and this policy has {contract.once[0][0]} once; "
             "use --format unitree_rl_lab"
         )
-    settings = {
+    own = store.plain(contract)
+    return {
         "model_name": "policy.onnx",
         "num_observations": contract.frame_size,
-        "observations": [RL_SAR.terms.get(term, RL_SAR.prefix + term) for term, _ in contract.terms],
+        "observations": [_name(term, "rl_sar") for term, _ in contract.terms],
         "observations_history": list(reversed(range(contract.history))),
         "observations_history_priority": "time",
         "clip_obs": 100.0,
         "clip_actions_lower": [-contract.action_clip] * 12,
         "clip_actions_upper": [contract.action_clip] * 12,
-        "rl_kp": list(contract.kp),
-        "rl_kd": list(contract.kd),
+        "rl_kp": own["kp"],
+        "rl_kd": own["kd"],
         "num_of_dofs": 12,
-        "action_scale": list(contract.action_scale),
+        "action_scale": own["action_scale"],
         "wheel_indices": [],
         "ang_vel_scale": GYRO_SCALE,
         "dof_pos_scale": 1.0,
         "dof_vel_scale": DQ_SCALE,
-        "torque_limits": list(contract.torque_max),
-        "default_dof_pos": list(contract.default_q),
+        "torque_limits": own["torque_max"],
+        "default_dof_pos": own["default_q"],
         "joint_mapping": order,
         "dt": contract.dt / STEPS,
         "decimation": STEPS,
+        "mimic": own,
     }
-    return {name: settings | _kept(contract)}
 
 
 def _rl_lab(contract: PolicyContract, order: list[int]) -> dict[str, Any]:
     """Return what a deploy.yaml holds. Gains are in the order of the messages, everything else in the policy's."""
+    own = store.plain(contract)
     joint = np.argsort(order)
     observations = {}
     for term, width in (*contract.terms, *contract.once):
-        most = CLIP.get(term)
-        observations[RL_LAB.terms.get(term, RL_LAB.prefix + term)] = {
+        scale, most = SCALED.get(term, (1.0, 0.0))
+        observations[_name(term, "unitree_rl_lab")] = {
             "params": {},
-            "clip": most and [-most, most],
-            "scale": [SCALE.get(term, 1.0)] * width,
+            "clip": [-most / scale, most / scale] if most else None,
+            "scale": [scale] * width,
             "history_length": contract.history if (term, width) in contract.terms else 1,
         }
     action = {
-        "clip": [[low, high] for low, high in zip(contract.q_min, contract.q_max, strict=True)],
+        "clip": np.transpose([contract.q_min, contract.q_max]).tolist(),
         "joint_names": [".*"],
-        "scale": list(contract.action_scale),
-        "offset": list(contract.default_q),
+        "scale": own["action_scale"],
+        "offset": own["default_q"],
         "joint_ids": None,
     }
-    settings = {
+    return {
         "joint_ids_map": order,
         "step_dt": contract.dt,
         "stiffness": np.array(contract.kp)[joint].tolist(),
         "damping": np.array(contract.kd)[joint].tolist(),
-        "default_joint_pos": list(contract.default_q),
+        "default_joint_pos": own["default_q"],
         "commands": {},
         "actions": {"JointPositionAction": action},
         "observations": observations,
+        "mimic": own,
     }
-    return settings | _kept(contract)
-
-
-def _kept(contract: PolicyContract) -> dict[str, Any]:
-    return {"mimic": {name: store.plain(getattr(contract, name)) for name in KEPT}}
 
 
 def _by_terms(path: Path, contract: PolicyContract) -> bytes:
@@ -232,23 +199,19 @@ def _by_terms(path: Path, contract: PolicyContract) -> bytes:
     return model.SerializeToString()
 
 
-def _heading(path: Path, form: str, contract: PolicyContract, notes: tuple[str, ...]) -> str:
-    """Return the comment at the top: the terms to be added, and how the policy is played."""
-    program = PROGRAMS[form]
+def _heading(path: Path, form: str, contract: PolicyContract, messages: str) -> str:
+    """Return the comment at the top: what the program lacks, and how the policy is played."""
     guide = json.loads(contract.to_json())
-    terms = (*contract.terms, *contract.once)
-    lines = [f"{path.name} for {form}, written by mimic {__version__}. Joints: {', '.join(contract.joints)}."]
-    if contract.interpolate:
-        notes = (*notes, "It changes q_des at once: move it in a straight line over a control step.")
-    if contract.arms == INVERSE_KINEMATICS:
-        notes = (*notes, "It has no inverse kinematics; what the front legs need is said below.")
-    lines += [f"{form} lacks:", *(f"- {note}" for note in (*program.lacks, *notes))]
-    lines += [f"Terms to be added to {program.where}:"]
-    lines += [
-        f"- {program.prefix}{name} ({width}): {guide['formulas'][name]}"
-        for name, width in terms
-        if name not in program.terms
+    lines = [
+        f"{path.name} for {form}, written by mimic {__version__}; its numbers are under mimic.",
+        f"Joints: {', '.join(contract.joints)}; in the robot's messages {messages}.",
+        "It has no inverse kinematics." * (contract.arms == INVERSE_KINEMATICS),
+        "It changes q_des at once: move it in a straight line over a control step." * contract.interpolate,
+        *HEADING[form],
     ]
+    for term, width in (*contract.terms, *contract.once):
+        if term not in TERMS:
+            lines.append(f"- {_name(term, form)} ({width}): {guide['formulas'][term]}")
     lines += ["How the policy is played:", *(f"- {line}" for line in guide["how_to_play"])]
-    wrapped = [textwrap.fill(line, 118, initial_indent="# ", subsequent_indent="#   ") for line in lines]
+    wrapped = [textwrap.fill(line, 118, initial_indent="# ", subsequent_indent="#   ") for line in lines if line]
     return "\n".join([*wrapped, "", ""])

@@ -126,7 +126,7 @@ def test_the_file_says_which_terms_are_to_be_added(tmp_path, capsys):
     assert "mimic/toe_command" in capsys.readouterr().out
     text = (tmp_path / "p/config.yaml").read_text()
     assert "# - mimic/forward (3): the world's (1, 0, 0) in base axes" in text
-    assert "signs of joints: [1, -1, -1," in text
+    assert "with signs [1, -1, -1," in text
 
 
 def test_a_policy_does_not_replace_what_is_there(tmp_path):
