@@ -74,11 +74,13 @@ ELBOWS = landmarks_of("elbow")
 WRISTS = landmarks_of("wrist")
 HIPS = landmarks_of("hip")
 KNEES = landmarks_of("knee")
+ANKLES = landmarks_of("ankle")
 
 AXES: Mapping[str, tuple[str, ...]] = {
     "xyz": ("x", "y", "z"),
     "xy": ("x", "y"),
     "uv": ("u", "v"),
+    "height_pitch": ("height", "pitch"),
     "wxyz": ("w", "x", "y", "z"),
     "side": SIDES,
     "joint": JOINTS,

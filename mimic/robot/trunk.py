@@ -108,7 +108,9 @@ def _steps(low: float, high: float, step: float) -> FloatArray:
     return np.linspace(low, high, int(np.ceil((high - low) / step)) + 1)
 
 
-def _table(description: RobotDescription, numbers: TrunkNumbers, heights: FloatArray, pitches: FloatArray) -> FloatArray:
+def _table(
+    description: RobotDescription, numbers: TrunkNumbers, heights: FloatArray, pitches: FloatArray
+) -> FloatArray:
     statics = _Statics(description, numbers)
     table = np.empty((len(heights), len(pitches), 2 * HIND + 2))
     for row, height in enumerate(heights):

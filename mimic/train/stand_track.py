@@ -261,7 +261,14 @@ class StandTrackEnv(VecEnv, Chance):
             torch.cuda.set_rng_state(state["generators"]["cuda"].cpu(), self.device)
 
     def _tensors(self) -> dict[str, torch.Tensor]:
-        owners = {"": self, "worlds": self.worlds, "arms": self.arms, "moves": self.moves, "trunk": self.trunk, "starts": self._starts}
+        owners = {
+            "": self,
+            "worlds": self.worlds,
+            "arms": self.arms,
+            "moves": self.moves,
+            "trunk": self.trunk,
+            "starts": self._starts,
+        }
         owners |= {"disturbances": self.disturbances, "motors": self.worlds.motors}
         found: dict[str, torch.Tensor] = {}
         for owner, holder in owners.items():
