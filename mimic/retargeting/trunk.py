@@ -65,7 +65,7 @@ def person_trunk(pose: PoseTrack, heading: FloatArray) -> FloatArray:
 
 
 def trunk_goals(person: FloatArray, description: RobotDescription) -> FloatArray:
-    """Return height [m] and lean [rad] of the robot's trunk (T, 2) for those of a person (T, 2); zeros where unknown."""
+    """Return height [m] and lean [rad] of the robot's trunk (T, 2) for those of a person; zeros where unknown."""
     numbers = description.trunk_numbers
     if numbers is None:
         return np.zeros_like(person)

@@ -33,7 +33,7 @@ STEP = 1e-6
 """Of a numerical derivative [rad]."""
 
 ROUNDS = 5
-"""In which the trunk is moved along the ground until its centre of mass is where it was; the last moves no joint by 1 mrad."""
+"""In which the trunk is moved until its centre of mass is where it was; the last moves no joint by 1 mrad."""
 
 HEIGHT_STEP = 0.01
 """Between two rows of the table [m]; in the middle between them the height is off by less than 0.5 mm."""
