@@ -2,7 +2,7 @@
 
     python -m lab.people.crouches OUT     # renders into the folder OUT what is not there yet, tracks it and compares
 
-A person stands, squats, stands, bows, and squats halfway. What the robot's trunk is asked for by the video is compared
+A person stands, squats, stands and bows. What the robot's trunk is asked for by the video is compared
 with what it would be asked for by the truth.
 """
 
@@ -29,21 +29,21 @@ BODIES = ("waving", "ballet")
 YAWS = (5, -40, 75)
 """Direction of the camera from where the person looks [deg]."""
 
-SECONDS = 12.0
+SECONDS = 8.0
 
 PARTS = {"shoulder": "shoulder", "wrist": "wrist", "elbow": "elbow", "hip": "hip", "knee": "knee", "ankle": "ankle"}
 """Part in LANDMARKS and in TRUTH_NAMES."""
 
 
 def exercise() -> Motion:
-    """Return a squat, a bow and half a squat, with hands before the body."""
+    """Return a squat and a bow, with hands before the body."""
     t = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
 
     def made(*keys: tuple[float, float]) -> Array:
         return curve([(at, np.array([value])) for at, value in keys], SECONDS, round_s=0.2)[: len(t), 0]
 
-    squat = made((0, 0), (1, 0), (2, 1), (2.8, 1), (3.9, 0), (8, 0), (9, 0.5), (9.8, 0.5), (10.6, 0), (12, 0))
-    bow = made((0, 0), (4.6, 0), (5.6, 1), (6.4, 1), (7.4, 0), (12, 0))
+    squat = made((0, 0), (1, 0), (2, 1), (2.8, 1), (3.9, 0), (8, 0))
+    bow = made((0, 0), (4.6, 0), (5.6, 1), (6.4, 1), (7.4, 0), (8, 0))
     zero = np.zeros_like(t)
     lean = 28 * DEG * squat + 38 * DEG * bow
     pelvis = np.stack([-0.17 * squat - 0.12 * bow, zero, -0.42 * squat - 0.01 * bow], axis=-1)
