@@ -74,7 +74,6 @@ ELBOWS = landmarks_of("elbow")
 WRISTS = landmarks_of("wrist")
 HIPS = landmarks_of("hip")
 KNEES = landmarks_of("knee")
-ANKLES = landmarks_of("ankle")
 
 AXES: Mapping[str, tuple[str, ...]] = {
     "xyz": ("x", "y", "z"),

@@ -6,9 +6,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mimic.geometry import R_CT
-from mimic.records import FloatArray, PoseTrack
-from mimic.records.base import ANKLES, HIPS, LANDMARKS, SHOULDERS
+from mimic.records import SIDES, FloatArray, PoseTrack
 from mimic.robot.description import RobotDescription
+
+BODY = [f"{side}_{part}" for part in ("shoulder", "hip", "ankle") for side in SIDES]
+"""Landmarks that tell height and lean."""
 
 SMOOTHING = 0.12
 """Standard deviation of the filter over height and lean [s]: squats last a second, a detector's noise a frame."""
@@ -46,10 +48,11 @@ def person_trunk(pose: PoseTrack, heading: FloatArray) -> FloatArray:
         hips and ankles are seen in too few rows.
     """
     unknown = np.full((len(pose.t), 2), np.nan)
-    if pose.names != LANDMARKS or len(pose.t) < 2:
+    if not set(BODY) <= set(pose.names) or len(pose.t) < 2:
         return unknown
-    shoulders, hips, ankles = (pose.landmarks[:, columns] for columns in (SHOULDERS, HIPS, ANKLES))
-    seen = pose.valid[:, SHOULDERS + HIPS + ANKLES].all(axis=1)
+    columns = [pose.index(name) for name in BODY]
+    shoulders, hips, ankles = np.split(pose.landmarks[:, columns], 3, axis=1)
+    seen = pose.valid[:, columns].all(axis=1)
     if seen.mean() < FEWEST:
         return unknown
     height = (ankles[..., 1].max(axis=1) - hips[..., 1].mean(axis=1))[seen]
