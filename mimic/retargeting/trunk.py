@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mimic.geometry import R_CT
-from mimic.records import SIDES, FloatArray, PoseTrack
+from mimic.records import LANDMARKS, SIDES, BoolArray, FloatArray, PoseTrack
 from mimic.robot.description import RobotDescription
 
 BODY = [f"{side}_{part}" for part in ("shoulder", "hip", "ankle") for side in SIDES]
@@ -14,6 +14,11 @@ BODY = [f"{side}_{part}" for part in ("shoulder", "hip", "ankle") for side in SI
 
 SMOOTHING = 0.12
 """Standard deviation of the filter over height and lean [s]: squats last a second, a detector's noise a frame."""
+
+COLUMNS = [LANDMARKS.index(name) for name in BODY]
+
+SLOW = 5.0
+"""Time constant of the lean that a person who stands has before a camera [s]."""
 
 STANDING = 0.9
 """Quantile of the hips' height that counts as standing."""
@@ -51,20 +56,62 @@ def person_trunk(pose: PoseTrack, heading: FloatArray) -> FloatArray:
     if not set(BODY) <= set(pose.names) or len(pose.t) < 2:
         return unknown
     columns = [pose.index(name) for name in BODY]
-    shoulders, hips, ankles = np.split(pose.landmarks[:, columns], 3, axis=1)
     seen = pose.valid[:, columns].all(axis=1)
     if seen.mean() < FEWEST:
         return unknown
-    height = (ankles[..., 1].max(axis=1) - hips[..., 1].mean(axis=1))[seen]
+    height, lean = _measured(pose.landmarks[:, columns], heading)[seen].T
     share = height / np.quantile(height, STANDING)
-    turn = np.stack([np.cos(heading), np.sin(heading)], axis=-1)[seen]
-    trunk = (shoulders.mean(axis=1) - hips.mean(axis=1))[seen] @ R_CT
-    lean = np.unwrap(np.arctan2((trunk[:, :2] * turn).sum(axis=-1), trunk[:, 2]))
-    lean -= np.median(lean[share > UPRIGHT])
+    lean = lean - np.median(lean[share > UPRIGHT])
     found = np.stack([share - 1.0, lean], axis=-1)
     whole = np.stack([np.interp(pose.t, pose.t[seen], column) for column in found.T], axis=-1)
     step = float(np.median(np.diff(pose.t)))
     return gaussian_filter1d(whole, SMOOTHING / step, axis=0, mode="nearest")
+
+
+def _measured(body: FloatArray, heading: FloatArray | float) -> FloatArray:
+    """Return hips above the lower ankle [m] and forward lean [rad] (..., 2) of the landmarks BODY (..., 6, 3)."""
+    shoulders, hips, ankles = np.split(body, 3, axis=-2)
+    height = ankles[..., 1].max(axis=-1) - hips[..., 1].mean(axis=-1)
+    trunk = (shoulders.mean(axis=-2) - hips.mean(axis=-2)) @ R_CT
+    ahead = trunk[..., 0] * np.cos(heading) + trunk[..., 1] * np.sin(heading)
+    return np.stack([height, np.arctan2(ahead, trunk[..., 2])], axis=-1)
+
+
+class LiveTrunk:
+    """The same of a person in front of a camera: standing is the highest that was seen, and its lean a slow average."""
+
+    def __init__(self) -> None:
+        self._standing = 0.0
+        self._lean: float | None = None
+        self._found: FloatArray | None = None
+        self._t = 0.0
+
+    def see(self, t: float, landmarks: FloatArray, valid: BoolArray, heading: float) -> FloatArray:
+        """Return height above standing, as a share of it, and forward lean [rad] (2,); zeros until both are known.
+
+        Args:
+            t: Time of the frame [s].
+            landmarks: Mid-hip -> landmark (33, 3), camera axes [m].
+            valid: Which landmarks count (33,).
+            heading: Of the torso [rad].
+        """
+        if self._found is None:
+            self._found = np.zeros(2)
+            self._t = t
+        if not valid[COLUMNS].all():
+            return self._found
+        passed = max(t - self._t, 0.0)
+        self._t = t
+        height, lean = (float(value) for value in _measured(landmarks[COLUMNS], heading))
+        self._standing = max(self._standing, height)
+        share = height / self._standing
+        if self._lean is None:
+            self._lean = lean
+        if share > UPRIGHT:
+            self._lean += (lean - self._lean) * passed / (SLOW + passed)
+        now = np.array([share - 1.0, lean - self._lean])
+        self._found = self._found + (now - self._found) * passed / (SMOOTHING + passed)
+        return self._found
 
 
 def trunk_goals(person: FloatArray, description: RobotDescription) -> FloatArray:

@@ -10,7 +10,7 @@ import pytest
 from mimic.config.retarget import RetargetSettings
 from mimic.records import LANDMARKS, PoseTrack
 from mimic.retargeting.targets import target_track
-from mimic.retargeting.trunk import person_trunk, trunk_goals
+from mimic.retargeting.trunk import LiveTrunk, person_trunk, trunk_goals
 from mimic.retargeting.wrists import wrist_track
 from mimic.robot.reach import Reach
 
@@ -57,6 +57,20 @@ def test_a_squat_and_a_bow_are_seen_wherever_the_person_faces(facing):
 def test_a_detector_that_leans_everybody_does_not_lean_the_robot():
     found = person_trunk(person(np.zeros(len(T)), np.full(len(T), 0.25)), np.zeros(len(T)))
     np.testing.assert_allclose(found, 0.0, atol=1e-6)
+
+
+def test_before_a_camera_a_squat_and_a_bow_are_seen_as_they_come():
+    squat = 0.4 * moved(2.0, 3.5)
+    lean = 0.3 * moved(4.0, 5.8)
+    seen = person(squat, lean + 0.1)
+    live = LiveTrunk()
+    rows = [
+        live.see(t, landmarks, valid, 0.0) for t, landmarks, valid in zip(T, seen.landmarks, seen.valid, strict=True)
+    ]
+    height, leant = np.array(rows).T
+    assert height.min() == pytest.approx(-0.4, abs=0.05)
+    assert leant.max() == pytest.approx(0.3, abs=0.06)
+    assert T[np.argmin(height)] - 2.75 < 0.2
 
 
 def test_without_feet_nothing_is_known():
