@@ -224,10 +224,10 @@ class LiveTargets:
         if not self._reach.is_clear(self._q):
             toes = self._reach.closest(toes, self._q).p_BE
         v = np.zeros(2)
-        height, pitch = (0.0, 0.0)
+        trunk = (0.0, 0.0)
         if asked is not None and now - float(self._seen_at.max()) <= self._hold:  # who is not seen does not walk
             v = asked.v
-            height, pitch = asked.trunk
+            trunk = asked.trunk
             most = self._reach.description.commands.turn_rate * dt
             self._heading += float(np.clip(wrap_angle(asked.heading - self._heading), -most, most))
-        return Command(v=v, heading=self._heading, p_BE=toes, height=height, pitch=pitch)
+        return Command(v=v, heading=self._heading, p_BE=toes, height=trunk[0], pitch=trunk[1])
