@@ -1,4 +1,8 @@
-"""How far a person crouches and leans, and what that asks of the robot's trunk."""
+"""How far a person crouches and leans, and what that asks of the robot's trunk.
+
+A detector sees depth badly: when a person bows to the camera, it leans the trunk by half. What it sees well is that the
+trunk becomes shorter in the picture, and to which side it goes; the rest is taken as the way forward.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +21,11 @@ SMOOTHING = 0.12
 
 COLUMNS = [LANDMARKS.index(name) for name in BODY]
 
-SLOW = 5.0
-"""Time constant of the lean that a person who stands has before a camera [s]."""
-
 STANDING = 0.9
-"""Quantile of the hips' height that counts as standing."""
+"""Quantile of the hips' height, and of the trunk's length in the picture, that counts as standing."""
 
-UPRIGHT = 0.93
-"""Hips above this share of the standing height: the person stands, and the lean of then counts as none."""
+BACKWARD = np.radians(-20.0)
+"""Whoever seems to lean further back than this [rad] does not lean forward."""
 
 STILL = 0.05
 """Hips lower by less than this share, and …"""
@@ -59,9 +60,9 @@ def person_trunk(pose: PoseTrack, heading: FloatArray) -> FloatArray:
     seen = pose.valid[:, columns].all(axis=1)
     if seen.mean() < FEWEST:
         return unknown
-    height, lean = _measured(pose.landmarks[:, columns], heading)[seen].T
+    height, up, left, ahead = _measured(pose.landmarks[:, columns], heading)[seen].T
     share = height / np.quantile(height, STANDING)
-    lean = lean - np.median(lean[share > UPRIGHT])
+    lean = _lean(up, left, ahead, np.quantile(np.hypot(up, left), STANDING))
     found = np.stack([share - 1.0, lean], axis=-1)
     whole = np.stack([np.interp(pose.t, pose.t[seen], column) for column in found.T], axis=-1)
     step = float(np.median(np.diff(pose.t)))
@@ -69,20 +70,34 @@ def person_trunk(pose: PoseTrack, heading: FloatArray) -> FloatArray:
 
 
 def _measured(body: FloatArray, heading: FloatArray | float) -> FloatArray:
-    """Return hips above the lower ankle [m] and forward lean [rad] (..., 2) of the landmarks BODY (..., 6, 3)."""
+    """Return hips above the lower ankle, and hips -> shoulders up, left and forward (..., 4) [m].
+
+    Args:
+        body: The landmarks BODY (..., 6, 3), camera axes [m].
+        heading: Of the torso (...,) [rad].
+    """
     shoulders, hips, ankles = np.split(body, 3, axis=-2)
     height = ankles[..., 1].max(axis=-1) - hips[..., 1].mean(axis=-1)
     trunk = (shoulders.mean(axis=-2) - hips.mean(axis=-2)) @ R_CT
-    ahead = trunk[..., 0] * np.cos(heading) + trunk[..., 1] * np.sin(heading)
-    return np.stack([height, np.arctan2(ahead, trunk[..., 2])], axis=-1)
+    cosine = np.cos(heading)
+    sine = np.sin(heading)
+    ahead = trunk[..., 0] * cosine + trunk[..., 1] * sine
+    left = trunk[..., 1] * cosine - trunk[..., 0] * sine
+    return np.stack([height, trunk[..., 2], left, ahead], axis=-1)
+
+
+def _lean(up: FloatArray, left: FloatArray, ahead: FloatArray, length: float) -> FloatArray:
+    """Return the forward lean (...,) [rad] of a trunk of this length [m]; 0 where it clearly leans back."""
+    forward = np.sqrt(np.maximum(length**2 - up**2 - left**2, 0.0))
+    return np.where(np.arctan2(ahead, up) > BACKWARD, np.arctan2(forward, np.maximum(up, 0.0)), 0.0)
 
 
 class LiveTrunk:
-    """The same of a person in front of a camera: standing is the highest that was seen, and its lean a slow average."""
+    """The same of a person in front of a camera: standing is the highest that was seen."""
 
     def __init__(self) -> None:
         self._standing = 0.0
-        self._lean: float | None = None
+        self._length = 0.0
         self._found: FloatArray | None = None
         self._t = 0.0
 
@@ -102,14 +117,10 @@ class LiveTrunk:
             return self._found
         passed = max(t - self._t, 0.0)
         self._t = t
-        height, lean = (float(value) for value in _measured(landmarks[COLUMNS], heading))
-        self._standing = max(self._standing, height)
-        share = height / self._standing
-        if self._lean is None:
-            self._lean = lean
-        if share > UPRIGHT:
-            self._lean += (lean - self._lean) * passed / (SLOW + passed)
-        now = np.array([share - 1.0, lean - self._lean])
+        height, up, left, ahead = _measured(landmarks[COLUMNS], heading)
+        self._standing = max(self._standing, float(height))
+        self._length = max(self._length, float(np.hypot(up, left)))
+        now = np.array([height / self._standing - 1.0, float(_lean(up, left, ahead, self._length))])
         self._found = self._found + (now - self._found) * passed / (SMOOTHING + passed)
         return self._found
 

@@ -59,10 +59,16 @@ def test_a_detector_that_leans_everybody_does_not_lean_the_robot():
     np.testing.assert_allclose(found, 0.0, atol=1e-6)
 
 
+def test_who_leans_back_does_not_lean_the_robot_forward():
+    found = person_trunk(person(np.zeros(len(T)), -0.6 * moved(2.0, 4.0)), np.zeros(len(T)))
+    assert np.abs(found[55:65, 1]).max() > 0.1  # up to BACKWARD depth tells nothing
+    np.testing.assert_allclose(found[85:95, 1], 0.0, atol=0.02)
+
+
 def test_before_a_camera_a_squat_and_a_bow_are_seen_as_they_come():
     squat = 0.4 * moved(2.0, 3.5)
     lean = 0.3 * moved(4.0, 5.8)
-    seen = person(squat, lean + 0.1)
+    seen = person(squat, lean)
     live = LiveTrunk()
     rows = [
         live.see(t, landmarks, valid, 0.0) for t, landmarks, valid in zip(T, seen.landmarks, seen.valid, strict=True)
