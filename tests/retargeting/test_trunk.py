@@ -61,7 +61,6 @@ def test_a_detector_that_leans_everybody_does_not_lean_the_robot():
 
 def test_who_leans_back_does_not_lean_the_robot_forward():
     found = person_trunk(person(np.zeros(len(T)), -0.6 * moved(2.0, 4.0)), np.zeros(len(T)))
-    assert np.abs(found[55:65, 1]).max() > 0.1  # up to BACKWARD depth tells nothing
     np.testing.assert_allclose(found[85:95, 1], 0.0, atol=0.02)
 
 
