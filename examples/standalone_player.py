@@ -58,10 +58,8 @@ def play(policy, model_path, toes, stand_seconds=2.0):
         motor.delay = motor.nsample = 0  # the delay is played below, from the contract
     model = spec.compile()
     data = mujoco.MjData(model)
-    folded = np.tile([0.0, 1.3963, -2.3562], 4)
-    data.qpos[:] = [0, 0, 0.1412, 1, 0, 0, 0, *folded]
+    data.qpos[:] = [0, 0, 0.1412, 1, 0, 0, 0, *(folded := np.tile([0.0, 1.3963, -2.3562], 4))]
     substeps, late = round(c["dt"] / model.opt.timestep), round(c["delay"] / model.opt.timestep)
-    begin = np.array(c["neutral_toes"]).reshape(2, 3)
     stand, blend, tick = round(stand_seconds / c["dt"]), c["blend_steps"], 2 * np.pi * c["clock_hz"] * c["dt"]
     frames, slow, action, gait, sent = None, None, np.zeros(12), 0.0, [folded] * 3
     for k in range(stand + blend + len(toes)):
@@ -72,28 +70,30 @@ def play(policy, model_path, toes, stand_seconds=2.0):
             rows = np.vstack([q[:6] + share**2 * (3 - 2 * share) * (arms[0] - q[:6]), arms, arms[-1:]])
             times = c["dt"] * (np.arange(len(rows)) - blend)
             path = scipy.interpolate.CubicSpline(times, rows, bc_type="clamped")
-            mujoco.mj_kinematics(model, data)
-            from_base = [data.site(f"{leg}_toe").xpos - data.qpos[:3] for leg in ("FL", "FR")]
-            begin = from_base @ data.body("base").xmat.reshape(3, 3)
-        s = np.clip((k - stand + 1) / blend, 0, 1)
-        goal = begin + s * s * (3 - 2 * s) * (toes[max(k - stand - blend, 0)] - begin)
+        since = c["dt"] * (k - stand - blend)
+        once = np.zeros((4, 12))
+        if k >= stand:  # where the arms will be
+            t = np.minimum(since + np.array([0.0, 0.1, 0.2, 0.3]), times[-1])
+            once = np.hstack([path(t) - default[:6], 0.05 * path(t, 1) * (t < times[-1])[:, None]])
         down = -2 * (x * z - w * y), -2 * (y * z + w * x), -(1 - 2 * (x * x + y * y))
         forward = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
         steps = 1 if abs(heading) > c["walk_turn"] * (1 - gait / 2) else -1
         gait = np.clip(gait + steps * c["dt"] / c["clock_fade"], 0, 1) if c["clock_fade"] else 1.0
         clock = gait * np.array([np.sin(k * tick), np.cos(k * tick)])
         turn = np.clip([-heading], -1, 1)
-        frame = np.concatenate([q - default, down, forward, action, [0, 0], turn, goal.ravel(), clock])
+        frame = np.concatenate([q - default, down, forward, action, [0, 0], turn, clock])
         turning, moving = np.clip(0.25 * data.qvel[3:6], -5, 5), np.clip(0.05 * data.qvel[6:], -2, 2)
         now = np.concatenate([frame[:18], frame[30:32]])  # joint_position, down, forward, velocity_command
         slow = now if slow is None else slow + (now - slow) * c["dt"] / 3
-        frame = np.concatenate([frame, turning, moving, slow])
-        frames = np.tile(frame, (c["history"], 1)) if frames is None else np.vstack([frames[1:], frame])
-        (answer,) = session.run(None, {"observation": frames.reshape(1, -1).astype(np.float32)})
+        row = np.concatenate([frame, turning, moving, slow])
+        frames = np.tile(row, (c["history"], 1)) if frames is None else np.vstack([frames[1:], row])
+        seen = np.concatenate([frames.ravel(), once.ravel(), [1.0]]).astype(np.float32)
+        (answer,) = session.run(None, {"observation": seen[None]})
         action = np.clip(answer[0].astype(float), -c["action_clip"], c["action_clip"])
         sent = [np.clip(default + scale * action, low, high), *sent[:2]]
-        if k >= stand and c.get("arms") == "inverse_kinematics":
-            t = c["delay"] + c["dt"] * (k - stand - blend + (1 if c["interpolate"] else 0.5))
+        if k >= stand:
+            action[:6] = 0.0  # the network does not move the arms
+            t = since + c["delay"] + c["dt"] * (1 if c["interpolate"] else 0.5)
             moves = [path(min(t, times[-1]), order) * (order == 0 or t < times[-1]) for order in range(3)]
             sent[0][:6] = arm_targets(model, data, c, *moves)
         yield k * c["dt"], q, np.array([w, x, y, z]), sent[0]

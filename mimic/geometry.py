@@ -65,6 +65,22 @@ def turned_about_up(quat_WB: Any, angle: float) -> NDArray[np.float64]:
     return multiply_quats([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)], quat_WB)
 
 
+def pitched_back(quat_WB: Any, omega_B: Any, pitch: float, rate: float) -> tuple[Any, Any]:
+    """Return orientation (4,), wxyz, and angular velocity (3,) [rad/s] of a base without a turn about its y axis.
+
+    Args:
+        quat_WB: Orientation of the base with it.
+        omega_B: Its angular velocity, its own axes [rad/s].
+        pitch: By how much it is turned [rad].
+        rate: How fast that grows [rad/s].
+    """
+    back = multiply_quats(quat_WB, [np.cos(pitch / 2), 0.0, -np.sin(pitch / 2), 0.0])
+    x, y, z = omega_B
+    c = np.cos(pitch)
+    s = np.sin(pitch)
+    return back, np.array([c * x + s * z, y - rate, c * z - s * x])
+
+
 def world_axes_in_base(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]:
     """Return the world's down (0, 0, -1) and x axis (1, 0, 0), both seen from the base.
 

@@ -3,6 +3,7 @@
     python -m lab.policies table POLICY        # the paper's Table III with its sensor noise; speeds reached
     python -m lab.policies stand-up POLICY     # 500 lying starts, and standing still for 20 s
     python -m lab.policies calm POLICY         # standing for 60 s, with and without noise; pushes and pulls
+    python -m lab.policies trunk POLICY        # crouching and leaning, with and without pushes
     python -m lab.policies lead POLICY         # led by a front toe, 5 m in any direction
     python -m lab.policies robustness POLICY   # survived share along each disturbance, with a heat map
 
@@ -30,8 +31,10 @@ from lab.policies.studies.settings import (
     RobustnessSettings,
     StandUpSettings,
     TableSettings,
+    TrunkSettings,
 )
 from lab.policies.studies.stand_up import evaluate_stand_up
+from lab.policies.studies.trunk import evaluate_trunk
 from mimic.cli.terminal.console import ConsoleReporter
 from mimic.config.evaluation import EpisodeSettings
 from mimic.config.play import EffectsSettings
@@ -55,6 +58,7 @@ STUDIES = {
     "table": Study(TableSettings, evaluate_table, report.paper_and_walking),
     "stand-up": Study(StandUpSettings, evaluate_stand_up, report.stand_up_table),
     "calm": Study(CalmSettings, evaluate_calm, report.calm_table),
+    "trunk": Study(TrunkSettings, evaluate_trunk, report.trunk_table),
     "lead": Study(LeadSettings, evaluate_leading, report.lead_table),
     "robustness": Study(RobustnessSettings, evaluate_robustness, report.robustness_table),
 }

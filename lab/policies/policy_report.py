@@ -134,6 +134,22 @@ def paper_and_walking(result: dict[str, Any]) -> str:
     )
 
 
+def trunk_table(result: dict[str, Any]) -> str:
+    return rows(
+        ("height of the hips and lean that are asked", "stand", "height off", "lean off", "toes off"),
+        [
+            (
+                what,
+                f"{100 * s['stood']:.0f} %",
+                f"{s['height_cm']:.1f} cm",
+                f"{s['pitch_deg']:.1f}°",
+                f"{s['toe_cm']:.2f} cm",
+            )
+            for what, s in result["summary"].items()
+        ],
+    )
+
+
 def lead_table(result: dict[str, Any]) -> str:
     s = result["summary"]
     return rows(

@@ -24,6 +24,8 @@ class RetargetSettings:
     heading: float | None = None
     """Heading of the person, instead of the estimate from shoulders and hips: 0 faces the camera, positive is turned
     to the person's left [deg]. With turns, the mean heading."""
+    trunk: bool = True
+    """Crouch and lean as the person does, as far as the robot can."""
     keep_peaks: bool = True
     """Move each target to the nearest reversal within half a step, so that slow rates keep the peak of a punch."""
     reach_quantile: float = 0.98

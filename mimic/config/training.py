@@ -126,6 +126,9 @@ class MdpSettings:
     """Probability that an arm stays where it is while the other one may move."""
     unknown_share: float = 0.3
     """Share of the episodes in which a policy is not told where its arms will be; besides all in which it is led."""
+    trunk_share: float = 0.5
+    """Share of the trunk's ways that end lowered and leant; the others end as the robot stands by itself. 0 never moves
+    it."""
     clock_hz: float = 4.0
     """Frequency of the gait clock [Hz]. The feet stand 0.28 m apart, so that the robot rocks from foot to foot: 0.13
     m/s to each side at 3 Hz, 0.09 at 4 (root mean square), which counts as velocity error."""

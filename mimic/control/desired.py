@@ -6,7 +6,7 @@ have goals of their own from the blend on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -69,11 +69,11 @@ class _Timing:
             self._begin = front_toes(q, self._description)
         share = smoothstep((tick - self.stand + 1) / self.blend)
         p_BE = self._begin + share * (first.p_BE - self._begin)
-        return Command(v=np.zeros(2), heading=first.heading, p_BE=p_BE)
+        return Command(v=np.zeros(2), heading=first.heading, p_BE=p_BE, height=first.height, pitch=first.pitch)
 
 
 def _held(command: Command) -> Command:
-    return Command(v=np.zeros(2), heading=command.heading, p_BE=command.p_BE)
+    return replace(command, v=np.zeros(2))
 
 
 class StoredMotion:
@@ -110,7 +110,9 @@ class StoredMotion:
 
     def _row(self, row: int) -> Command:
         track = self._track
-        return Command(v=track.v[row], heading=float(track.heading[row]), p_BE=track.p_BE[row])
+        height, pitch = (float(value) for value in np.nan_to_num(track.trunk[row]))
+        heading = float(track.heading[row])
+        return Command(v=track.v[row], heading=heading, p_BE=track.p_BE[row], height=height, pitch=pitch)
 
     def at(self, tick: int, q: FloatArray) -> Desired | None:
         """Return what is asked for at a control tick; None when the motion is over."""

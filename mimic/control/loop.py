@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 
@@ -214,7 +214,7 @@ def _follow(run: Run, policy: Policy, motion: DesiredMotion, distance: KeptDista
         if desired is None:
             return
         asked = desired.command
-        command = Command(v=asked.v, heading=heading0 + asked.heading, p_BE=asked.p_BE)
+        command = replace(asked, heading=heading0 + asked.heading)
         if distance is not None and desired.phase in (TRACK, HOLD):
             command = distance.corrected(command, run.sensed.q, run.sensed.quat_WB)
         run.tick(policy, builder, desired.phase, command, desired.arms)

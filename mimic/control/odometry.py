@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mimic.geometry import rotation_from_quat
@@ -117,7 +119,7 @@ class KeptDistance:
             self._walks_there = abs(along) > near and along * speed > -abs(along) * STANDS
             velocity = float(np.copysign(max(abs(velocity), SLOWEST), along)) if self._walks_there else 0.0
         limited = float(np.clip(velocity, -self._fastest, self._fastest))
-        return Command(v=np.array([limited, command.v[1]]), heading=command.heading, p_BE=command.p_BE)
+        return replace(command, v=np.array([limited, command.v[1]]))
 
 
 def _turned(vector: FloatArray, angle: float) -> FloatArray:

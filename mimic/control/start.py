@@ -14,6 +14,12 @@ from mimic.geometry import rotation_from_quat, smoothstep
 from mimic.records import JOINTS, PHASES, FloatArray, JointCommand, RobotState
 from mimic.robot.description import RobotDescription
 
+LATE = 0.005
+"""A control step that comes later than this [s] …"""
+
+LATE_SHARE = 0.1
+"""… may not be more frequent than this while the robot lies: on a quiet computer none is."""
+
 START = "start"
 """The rule that the ramp applies itself."""
 
@@ -93,7 +99,7 @@ def start(run: Run) -> None:
         for _ in range(SETTLE_TICKS):
             _hold(run, ramp.settling(run.sensed.q))
     if safety.checked and run.mode == SafetyMode.RUN:
-        _refuse(run, not_crouched(run.sensed, d))
+        _refuse(run, too_busy(run.lateness()) or not_crouched(run.sensed, d))
 
 
 def _hold(run: Run, command: JointCommand) -> None:
@@ -136,6 +142,18 @@ def _test(run: Run, trim: FloatArray) -> None:
         answers.append(test.answer(joint, np.array(q), np.array(quat)))
     if run.mode == SafetyMode.RUN:
         _refuse(run, test.fault(answers))
+
+
+def too_busy(late: FloatArray) -> str:
+    """Return that control steps came late (T,) [s] while the robot lay, as a sentence; empty where few did."""
+    share = float(np.mean(late > LATE)) if len(late) else 0.0
+    if share <= LATE_SHARE:
+        return ""
+    return (
+        f"this computer is too busy to hold a robot up: {share:.0%} of the control steps came more than "
+        f"{1e3 * LATE:g} ms late, by up to {1e3 * late.max():.0f} ms; close other programs, or run as a user with "
+        "real-time priority (ulimit -r 20)"
+    )
 
 
 def not_crouched(state: RobotState, description: RobotDescription) -> str:

@@ -18,6 +18,7 @@ from mimic.control.safety.safety_rules import FAILURE
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.signals import Signals
+from mimic.control.trunk import Trunk
 from mimic.geometry import turned_about_up
 from mimic.policy.contract import FRONT, ObservationBuilder, PolicyContract, joint_command
 from mimic.policy.runtime import Policy
@@ -88,6 +89,7 @@ class Run:
         self.safety = safety
         self._width = width
         self._arm_torques = ArmTorques(plant.description)
+        self._trunk = Trunk(plant.description)
         self._rows: dict[str, list[Any]] = {}
         self._health: dict[str, list[Any]] = {}
         self._events = self._phase = 0
@@ -143,21 +145,24 @@ class Run:
         self, builder: ObservationBuilder, phase: int, desired: Command, arms: ArmGoal | None = None
     ) -> Asked | None:
         """Return what a policy sees of the newest state; None, and damp the robot, where a target is no number."""
-        if not np.isfinite(np.concatenate([desired.v, [desired.heading], np.ravel(desired.p_BE)])).all():
+        numbers = [*desired.v, desired.heading, *np.ravel(desired.p_BE), desired.height, desired.pitch]
+        if not np.isfinite(np.array(numbers)).all():
             self.decide(FAILURE, SafetyMode.DAMP, "a target is not a number")
             return None
         v_des, p_BE_des, clamped = clamp_desired(desired.v, desired.p_BE, self.plant.description)
+        clamped += self._trunk.advance(desired.height, desired.pitch)
+        seen = self._trunk.seen(self.sensed)
         observation = builder.observe(
-            q=self.sensed.q,
-            quat_WB=self.sensed.quat_WB,
+            q=seen.q,
+            quat_WB=seen.quat_WB,
             v_des=v_des,
             heading_des=desired.heading,
             p_BE_des=p_BE_des,
-            omega_B=self.sensed.omega_B,
-            dq=self.sensed.dq,
+            omega_B=seen.omega_B,
+            dq=seen.dq,
             arms=None if arms is None else arms.seen,
         )
-        command = Command(v=v_des, heading=desired.heading, p_BE=p_BE_des)
+        command = replace(desired, v=v_des, p_BE=p_BE_des)
         return Asked(phase=phase, command=command, clamped=clamped, arms=arms, observation=observation)
 
     def act(self, asked: Asked, contract: PolicyContract, builder: ObservationBuilder, action: FloatArray) -> None:
@@ -183,8 +188,10 @@ class Run:
             tau_ff=tau_ff,
             ramp=contract.dt if contract.interpolate else 0.0,
         )
+        command = self._trunk.added(command)
         clamped = asked.clamped + int(np.count_nonzero(np.abs(own) > contract.action_clip))
         wanted = {"v_des": asked.command.v, "heading_des": asked.command.heading, "p_BE_des": asked.command.p_BE}
+        wanted["trunk_des"] = np.array(self._trunk.now)
         seen = np.full(self._width, np.nan)
         seen[: len(asked.observation)] = asked.observation
         self._step(command, asked.phase, clamped, **wanted, observation=seen, action=action)
@@ -204,6 +211,7 @@ class Run:
             self._dropouts.rest(self.state)
         nothing = np.full(self._width, np.nan)
         asked = {"v_des": np.zeros(2), "heading_des": np.nan, "p_BE_des": np.full((2, 3), np.nan)}
+        asked["trunk_des"] = np.full(2, np.nan)
         self._step(command, phase, 0, **asked, observation=nothing, action=np.full(12, np.nan))
 
     def _step(self, command: JointCommand, phase: int, clamped: int, **asked: Any) -> None:
@@ -290,6 +298,10 @@ class Run:
         lies = PHASES[self._phase] == "lie"
         text = f"the log cannot be written: {reason.strerror or reason}"
         self.decide(FAILURE, SafetyMode.DAMP if lies else SafetyMode.SIT_DOWN, text)
+
+    def lateness(self) -> FloatArray:
+        """Return how late each control step so far came (T,) [s]; NaN where the plant does not say."""
+        return np.array(self._health.get("late", []), dtype=np.float64)
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the RunLog."""

@@ -9,6 +9,8 @@ frames:
   heading_deg: 0.0              # left of the heading at the start, when the frame is reached
   left_deg: [0.0, 45.0, -70.0]  # abad, hip, knee of the front left leg, when the frame is reached
   right_deg: [0.0, 45.0, -70.0]
+  height: -0.05                 # m, of the hips above how the robot stands by itself; this and the next may be left out
+  lean_deg: 10.0                # to the belly, beyond how it stands by itself
 """
 
 from __future__ import annotations
@@ -36,6 +38,8 @@ MOST_ITEMS = 20_000
 """Most items of a file."""
 FIELDS = {"duration": 0, "velocity": 2, "heading_deg": 0, "left_deg": 3, "right_deg": 3}
 """Required fields of a key frame, with the length of each list; 0 is a single number."""
+TRUNK = {"height": 0, "lean_deg": 0}
+"""Fields that may be left out: the robot then stands as it does by itself."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -50,6 +54,8 @@ class KeyFrame:
     """Heading at the key frame, positive to the left of the initial heading [rad]."""
     q: FloatArray
     """Front-leg joints at the key frame: abad, hip, knee, left before right (6,) [rad]."""
+    trunk: tuple[float, float] = (0.0, 0.0)
+    """Height of the hips [m] and lean [rad] at the key frame, from how the robot stands by itself."""
     what: str = ""
     """Description in words."""
 
@@ -95,6 +101,7 @@ def frames_from(data: Any) -> tuple[tuple[KeyFrame, ...], list[str]]:
                     velocity=(values["velocity"][0], values["velocity"][1]),
                     heading=math.radians(values["heading_deg"][0]),
                     q=np.radians([*values["left_deg"], *values["right_deg"]]),
+                    trunk=(values["height"][0], math.radians(values["lean_deg"][0])),
                     what=" ".join(str(row.get("what", "")).split())[:200],
                 )
             )
@@ -104,9 +111,12 @@ def frames_from(data: Any) -> tuple[tuple[KeyFrame, ...], list[str]]:
 def _numbers(row: Any, where: str) -> tuple[dict[str, list[float]], list[str]]:
     if not isinstance(row, Mapping):
         return {}, [f"{where} is {_short(row)}; expected a mapping with {', '.join(FIELDS)}"]
-    errors = [f"{where} has {_short(name)}, which is unknown" for name in row if name not in (*FIELDS, "what")]
+    errors = [f"{where} has {_short(name)}, which is unknown" for name in row if name not in (*FIELDS, *TRUNK, "what")]
     values = {}
-    for name, count in FIELDS.items():
+    for name, count in (FIELDS | TRUNK).items():
+        if name not in row and name in TRUNK:
+            values[name] = [0.0]
+            continue
         if name not in row:
             errors.append(f"{where} lacks {name}")
             continue
@@ -130,6 +140,8 @@ def _short(value: Any) -> str:
 def plain_frame(frame: KeyFrame) -> dict[str, Any]:
     """Return a key frame as plain data for JSON and YAML."""
     degrees = np.degrees(frame.q).round(2).tolist()
+    height, lean = frame.trunk
+    trunk = {"height": round(height, 3), "lean_deg": round(math.degrees(lean), 2)} if height or lean else {}
     return {
         "what": frame.what,
         "duration": round(frame.duration, 3),
@@ -137,6 +149,7 @@ def plain_frame(frame: KeyFrame) -> dict[str, Any]:
         "heading_deg": round(math.degrees(frame.heading), 2),
         "left_deg": degrees[:3],
         "right_deg": degrees[3:],
+        **trunk,
     }
 
 

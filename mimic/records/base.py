@@ -79,6 +79,7 @@ AXES: Mapping[str, tuple[str, ...]] = {
     "xyz": ("x", "y", "z"),
     "xy": ("x", "y"),
     "uv": ("u", "v"),
+    "height_pitch": ("height", "pitch"),
     "wxyz": ("w", "x", "y", "z"),
     "side": SIDES,
     "joint": JOINTS,

@@ -72,6 +72,9 @@ class WristTrack(Record):
     """Heading of the torso; 0 faces the camera, positive turns to the person's left [rad]."""
     valid: BoolArray = array("side", dtype=np.bool_)
     """False where the source saw nothing."""
+    trunk: FloatArray = array("height_pitch", optional=True)
+    """Hips above standing, as a share of their standing height, and forward lean of the trunk [rad]; NaN where not
+    seen."""
     arm_length: float = float("nan")
     """The clip's own reach that was divided by [m]; NaN where the source has no metres."""
     warnings: tuple[str, ...] = ()
@@ -98,6 +101,9 @@ class TargetTrack(Record):
     """Base -> toe before clamping [m]."""
     within_reach: FloatArray = array("side", "xyz", optional=True)
     """Base -> toe after clamping, before the speed limit [m]."""
+    trunk: FloatArray = array("height_pitch", optional=True)
+    """Desired height of the hind hips [m] and forward lean [rad], from how the robot stands by itself; NaN is as it
+    does."""
     person: FloatArray = array("side", "xyz", optional=True)
     """Base -> toe as every frame of the source asks for it, before sampling [m]; NaN without a person."""
     robot: str = ""
@@ -120,6 +126,9 @@ class CommandTrack(Record):
     """Desired heading relative to the heading at the start [rad]."""
     p_BE: FloatArray = array("side", "xyz")
     """Desired base -> toe, base axes [m]."""
+    trunk: FloatArray = array("height_pitch", optional=True)
+    """Desired height of the hind hips [m] and forward lean [rad], from how the robot stands by itself; NaN is as it
+    does."""
     robot: str = ""
     """Name of the robot whose toes these are; empty where not known."""
     keeps_distance: bool = False
@@ -152,6 +161,10 @@ class Command:
     """Desired heading relative to the heading at the start [rad]."""
     p_BE: FloatArray
     """Desired base -> toe, base axes (2, 3) [m]."""
+    height: float = 0.0
+    """Desired height of the hind hips above how the robot stands by itself [m]."""
+    pitch: float = 0.0
+    """Desired forward lean beyond how it stands by itself [rad]."""
 
 
 @runtime_checkable

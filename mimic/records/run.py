@@ -214,6 +214,8 @@ class RunLog(Record):
     """Desired heading, world [rad]."""
     p_BE_des: FloatArray = array("side", "xyz")
     """Desired base -> front toe, base axes [m]."""
+    trunk_des: FloatArray = array("height_pitch", optional=True)
+    """Desired height of the hind hips [m] and forward lean [rad], from how the robot stands by itself."""
     observation: FloatArray = array("observation")
     """What the policy saw, NaN behind it where the other policy of the run sees more; NaN while no policy ran."""
     action: FloatArray = array("joint")

@@ -10,6 +10,7 @@ from scipy.interpolate import PchipInterpolator
 from mimic.config.retarget import RetargetSettings
 from mimic.io.keyframes import KeyFrames
 from mimic.records import CommandTrack, TargetTrack
+from mimic.retargeting.commands import command_track
 from mimic.retargeting.targets import reachable_track
 from mimic.robot.reach import FRONT, Reach
 
@@ -40,5 +41,7 @@ def keyframe_commands(motion: KeyFrames, reach: Reach, settings: RetargetSetting
     report = {**targets.report, "rate_s": motion.seconds / len(motion.frames)}
     targets = dataclasses.replace(targets, report=report)
     v = np.array([frame.velocity for frame in motion.frames])[row]
-    commands = CommandTrack(t=t, v=v, heading=heading, p_BE=targets.p_BE, robot=targets.robot, keeps_distance=True)
+    goals = np.array([(0.0, 0.0), *(frame.trunk for frame in motion.frames)])
+    targets = dataclasses.replace(targets, trunk=PchipInterpolator(times, goals, axis=0)(t))
+    commands = dataclasses.replace(command_track(targets), v=v, keeps_distance=True)
     return commands, targets

@@ -22,6 +22,7 @@ from mimic.retargeting.limits import limit_step
 from mimic.retargeting.one_euro import OneEuro
 from mimic.retargeting.sampling import EASE, ease
 from mimic.retargeting.targets import wanted_toes
+from mimic.retargeting.trunk import LiveTrunk, trunk_goals
 from mimic.retargeting.wrists import TURN_CUTOFF_HZ, arm_length, torso_vectors
 from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import FRONT, Reach
@@ -50,6 +51,8 @@ class LiveTarget:
     """Of the robot against its start [rad]."""
     v: FloatArray
     """Velocity forward and left (2,) [m/s]."""
+    trunk: tuple[float, float] = (0.0, 0.0)
+    """Height of the hips [m] and lean [rad], from how the robot stands by itself."""
 
 
 class LiveRetarget:
@@ -68,6 +71,7 @@ class LiveRetarget:
         self._first_heading: float | None = None
         self._heading0: float | None = None
         self._follower = Follower()
+        self._trunk = LiveTrunk()
         self._q = reach.description.poses["upright"][:FRONT].copy()
 
     def see(self, t: float, landmarks: FloatArray, image: FloatArray, valid: BoolArray, aspect: float) -> LiveTarget:
@@ -95,7 +99,11 @@ class LiveRetarget:
             wanted = np.where(asked[:, None], wanted, self._reach.toes(self._q))
             self._q = self._reach.closest(wanted, self._q).q
         turn, v = self._followed(t, heading, landmarks, image, valid, aspect)
-        return LiveTarget(t=t, q=self._q.copy(), seen=np.array(asked), heading=turn, v=v)
+        trunk = (0.0, 0.0)
+        if self._settings.trunk:
+            height, lean = trunk_goals(self._trunk.see(t, landmarks, valid, heading)[None], self._reach.description)[0]
+            trunk = (float(height), float(lean))
+        return LiveTarget(t=t, q=self._q.copy(), seen=np.array(asked), heading=turn, v=v, trunk=trunk)
 
     def _arm(self, seen: BoolArray) -> float:
         if seen.any():
@@ -216,8 +224,10 @@ class LiveTargets:
         if not self._reach.is_clear(self._q):
             toes = self._reach.closest(toes, self._q).p_BE
         v = np.zeros(2)
+        trunk = (0.0, 0.0)
         if asked is not None and now - float(self._seen_at.max()) <= self._hold:  # who is not seen does not walk
             v = asked.v
+            trunk = asked.trunk
             most = self._reach.description.commands.turn_rate * dt
             self._heading += float(np.clip(wrap_angle(asked.heading - self._heading), -most, most))
-        return Command(v=v, heading=self._heading, p_BE=toes)
+        return Command(v=v, heading=self._heading, p_BE=toes, height=trunk[0], pitch=trunk[1])

@@ -13,6 +13,7 @@ from mimic.errors import SourceError
 from mimic.records import SIDES, BoolArray, FloatArray, TargetTrack, WristTrack
 from mimic.retargeting.limits import limit_track
 from mimic.retargeting.sampling import between, fill_gaps, target_times, without_glimpses
+from mimic.retargeting.trunk import trunk_goals
 from mimic.robot.arm_mapping import posture, toes_of_arms
 from mimic.robot.reach import Closest, Reach
 
@@ -130,7 +131,9 @@ def _target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings, 
         times=times,
         warnings=wrists.warnings,
     )
-    return replace(targets, person=person, report={**targets.report, "slow_down": slow_down})
+    trunk = np.stack([np.interp(grid, t, column) for column in np.nan_to_num(wrists.trunk).T], axis=1)
+    trunk = settings.trunk * trunk_goals(trunk, reach.description)
+    return replace(targets, person=person, trunk=trunk, report={**targets.report, "slow_down": slow_down})
 
 
 def hanging_toes(reach: Reach) -> FloatArray:

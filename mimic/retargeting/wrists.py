@@ -22,6 +22,7 @@ from mimic.config.retarget import RetargetSettings
 from mimic.errors import SourceError
 from mimic.geometry import R_CT
 from mimic.records import SIDES, BoolArray, FloatArray, PoseTrack, WristTrack
+from mimic.retargeting.trunk import person_trunk
 
 TURN_CUTOFF_HZ = 0.3
 """Cut-off of the heading; faster changes are depth noise [Hz]."""
@@ -64,6 +65,7 @@ def wrist_track(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Wrist
         p_SH=np.where(valid[..., None], p_SH_T / length, np.nan),
         heading=robot_heading,
         valid=valid,
+        trunk=person_trunk(pose, heading),
         arm_length=length,
         warnings=(*pose.warnings, *_hidden_arm_warnings(pose), *_turn_warnings(pose, settings)),
     )

@@ -31,6 +31,7 @@ from mimic.robot.parts import (
     StartNumbers,
     ThermalNumbers,
     TrainingNumbers,
+    TrunkNumbers,
     Workspace,
 )
 
@@ -100,6 +101,8 @@ class RobotDescription:
     start: StartNumbers
     safety: SafetyNumbers
     training: TrainingNumbers
+    trunk_numbers: TrunkNumbers | None
+    """None where nobody has found out how the robot stands by itself."""
     thermal_numbers: ThermalNumbers | None
     """None where the maker publishes none."""
     probe_ranges: ProbeRanges | None
@@ -191,6 +194,18 @@ def _probe(probe: dict[str, Any]) -> ProbeRanges:
     return ProbeRanges(low=limits[:, 0], high=limits[:, 1], centre=centre)
 
 
+def _trunk_numbers(trunk: dict[str, Any]) -> TrunkNumbers:
+    left = _array(trunk["stance"])
+    return TrunkNumbers(
+        stance=np.concatenate([left, left * [-1.0, 1.0, 1.0]]),
+        lean=trunk["lean"],
+        height=tuple(trunk["height"]),
+        pitch=tuple(trunk["pitch"]),
+        height_speed=trunk["height_speed"],
+        pitch_speed=trunk["pitch_speed"],
+    )
+
+
 def _thermal(motor: dict[str, Any]) -> ThermalNumbers:
     thermal = motor["thermal"]
     overload = motor.get("overload", {"torque": (), "seconds": ()})
@@ -269,6 +284,7 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
         start=StartNumbers(**raw["start"]),
         safety=SafetyNumbers(**raw["safety"]),
         training=TrainingNumbers(**raw["training"]),
+        trunk_numbers=_trunk_numbers(raw["trunk"]) if "trunk" in raw else None,
         thermal_numbers=_thermal(motor) if "thermal" in motor else None,
         probe_ranges=_probe(raw["probe"]) if "probe" in raw else None,
     )

@@ -185,6 +185,24 @@ class StartNumbers:
     """Largest tilt of the base [rad]."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrunkNumbers:
+    """How the robot stands by itself, and how far its trunk may be lowered and leant from there."""
+
+    stance: FloatArray
+    """Hind legs of a robot that stands by itself, left then right (6,) [rad]."""
+    lean: float
+    """Forward lean of base x from the vertical there [rad]."""
+    height: tuple[float, float]
+    """Lowest and highest hind hips, from how it stands by itself [m]."""
+    pitch: tuple[float, float]
+    """Farthest lean backward and forward, from how it stands by itself [rad]."""
+    height_speed: float
+    """Fastest change of the height [m/s]."""
+    pitch_speed: float
+    """Fastest change of the lean [rad/s]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SafetyNumbers:
     """Limits of the safety rules that follow from the size and the motors of the robot."""

@@ -14,7 +14,10 @@ from mimic.config.training import MdpSettings
 from mimic.train.tensors import Chance, put
 
 QUIET_PUSH = 0.25
-"""Factor on the pushes of quiet worlds."""
+"""Factor on the pushes of quiet worlds …"""
+
+HARD_PUSH = 0.25
+"""… but for this share of them, which are as hard as anywhere: a robot at rest has to catch itself, too."""
 
 QUIET_TILT = 2.0
 """Largest mounting error of the IMU in quiet worlds [deg]."""
@@ -95,8 +98,9 @@ class Disturbances(Chance):
 
     @property
     def push_share(self) -> torch.Tensor:
-        """Factor on pushes (N,)."""
-        return self._grown * torch.where(self._quiet, QUIET_PUSH, 1.0)
+        """Factor on pushes (N,), drawn anew at each call."""
+        gently = self._quiet & (self._rand() >= HARD_PUSH)
+        return self._grown * torch.where(gently, QUIET_PUSH, 1.0)
 
     def reset(self, mask: torch.Tensor) -> None:
         """Draw anew where ``mask`` (N,)."""

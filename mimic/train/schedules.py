@@ -13,6 +13,7 @@ from mimic.policy.contract import AHEAD, FRONT, PolicyContract, lead_time
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import draw_goals, leg_joints
+from mimic.robot.trunk import TrunkPoses
 from mimic.train.tensors import Chance, in_heading_frame, put
 
 POOL = 20_000
@@ -32,6 +33,9 @@ SHORTEST_WAY = 0.35
 
 LONGEST_HOLD = 3.0
 """Arms stay no longer [s]."""
+
+TRUNK_SECONDS = (0.4, 3.0)
+"""How long the trunk takes from one height and pitch to the next [s]."""
 
 FAST_SHARE = 0.5
 """Share of velocities drawn evenly up to the fastest; the others are the paper's 0.1, 0.2 and 0.3 m/s."""
@@ -135,6 +139,99 @@ class ArmSchedule(Chance):
         self.q.copy_(begin + way * share**3 * (10 - 15 * share + 6 * share * share))
         self.dq.copy_(way * 30 * (share * left).square() / length)
         self.ddq.copy_(way * 60 * share * left * (1 - 2 * share) / length.square())
+
+
+class TrunkSchedule(Chance):
+    """A trunk that is lowered and leant now and then; see mimic.robot.trunk."""
+
+    def __init__(self, description: RobotDescription, contract: PolicyContract, settings: MdpSettings, device: str):
+        super().__init__(settings.worlds, device)
+        self._share = settings.trunk_share
+        self._dt = contract.dt
+        numbers = description.trunk_numbers
+        self._poses: TrunkPoses | None = None
+        if settings.task == "stand_track" and self._share > 0.0 and numbers is not None:
+            self._poses = TrunkPoses(description, torch, device)
+            self._low = self._tensor([numbers.height[0], numbers.pitch[0]])
+            self._high = self._tensor([numbers.height[1], numbers.pitch[1]])
+        kp = self._tensor(contract.kp[FRONT:])
+        kd = self._tensor(contract.kd[FRONT:])
+        self._gains = (kp, kd)
+        self._lag = round(lead_time(contract) / contract.dt)
+        self._way = self._zeros(2, 2)
+        """Height and pitch where the way began, and where it ends (N, 2, 2) [m, rad]."""
+        self._time = self._zeros()
+        self._length = self._zeros() + 1.0
+        self._hold = self._zeros()
+        self._sent = self._zeros(self._lag + 2, 2 * FRONT + 4)
+        """Joints, torques, base, height and pitch of the newest commands, newest first (N, lag + 2, 16)."""
+        self.targets = self._zeros(2 * FRONT)
+        """What position targets change by (N, 12) [rad]."""
+
+    def _seen(self) -> torch.Tensor:
+        return self._sent[:, self._lag]
+
+    def _rate(self, age: int) -> torch.Tensor:
+        return (self._sent[:, age] - self._sent[:, age + 1]) / self._dt
+
+    @property
+    def joints(self) -> torch.Tensor:
+        """What all joints are off by now (N, 12) [rad]."""
+        return torch.nn.functional.pad(self._seen()[:, :FRONT], (FRONT, 0))
+
+    @property
+    def joint_rates(self) -> torch.Tensor:
+        """Its rate (N, 12) [rad/s]."""
+        return torch.nn.functional.pad(self._rate(self._lag)[:, :FRONT], (FRONT, 0))
+
+    @property
+    def base(self) -> torch.Tensor:
+        """How far the base is forward and up (N, 2) [m]."""
+        return self._seen()[:, 2 * FRONT : 2 * FRONT + 2]
+
+    @property
+    def base_rate(self) -> torch.Tensor:
+        """Its rate (N, 2) [m/s]."""
+        return self._rate(self._lag)[:, 2 * FRONT : 2 * FRONT + 2]
+
+    @property
+    def asked(self) -> torch.Tensor:
+        """Height [m] and pitch [rad] that joints and base are of (N, 2)."""
+        return self._seen()[:, 2 * FRONT + 2 :]
+
+    @property
+    def pitch_rate(self) -> torch.Tensor:
+        """Rate of the pitch (N,) [rad/s]."""
+        return self._rate(self._lag)[:, -1]
+
+    def advance(self, tracking: torch.Tensor) -> None:
+        """Let one control step pass; before a robot tracks (N,) its trunk stays."""
+        if self._poses is None:
+            return
+        self._time.add_(self._dt * tracking)
+        due = self._time >= self._length + self._hold
+        goal = self._low + (self._high - self._low) * self._rand(2)
+        goal = torch.where((self._rand() < self._share)[:, None], goal, torch.zeros_like(goal))
+        put(self._way, due, torch.stack([self._way[:, 1], goal], 1))
+        put(self._length, due, self._uniform(*TRUNK_SECONDS))
+        put(self._hold, due, self._uniform(0.0, LONGEST_HOLD))
+        put(self._time, due, 0.0)
+        share = (self._time / self._length).clamp(0.0, 1.0)[:, None]
+        begin, end = self._way.unbind(1)
+        now = begin + (end - begin) * share**3 * (10 - 15 * share + 6 * share * share)
+        pose = self._poses.of(now[:, 0], now[:, 1])
+        newest = torch.cat([*pose, now], -1)
+        self._sent.copy_(torch.cat([newest[:, None], self._sent[:, :-1]], 1))
+        kp, kd = self._gains
+        change = pose.joints + (kd * self._rate(0)[:, :FRONT] + pose.torque) / kp
+        self.targets[:, FRONT:].copy_(change)
+
+    def reset(self, mask: torch.Tensor) -> None:
+        """Stand as the robot does by itself where ``mask``."""
+        for buffer in (self._way, self._time, self._sent, self.targets):
+            put(buffer, mask, 0.0)
+        put(self._length, mask, self._uniform(*TRUNK_SECONDS))
+        put(self._hold, mask, self._uniform(0.0, LONGEST_HOLD))
 
 
 class MoveSchedule(Chance):

@@ -41,14 +41,17 @@ from mimic.train import rewards
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
 from mimic.train.disturbances import Disturbances
 from mimic.train.rewards import BEARS
-from mimic.train.schedules import ArmSchedule, MoveSchedule
+from mimic.train.schedules import ArmSchedule, MoveSchedule, TrunkSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.tensors import Chance, in_heading_frame, put, quat_multiply, quat_rotate
 from mimic.train.weights import REWARD_SCALE, passed, weights_at
 from mimic.train.worlds import Worlds
 
-CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1
+CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1 + 2
 """Width of what the critic sees beyond the observation."""
+
+CRITIC_TRUNK = 5.0
+"""Units of what the critic sees a metre of the trunk's height, and a rad of its pitch."""
 
 RISE_SECONDS = 0.7
 """Time that standing up should take [s]; faster and slower both cost."""
@@ -119,6 +122,7 @@ class StandTrackEnv(VecEnv, Chance):
         self.worlds = Worlds(description, settings, device, seed)
         self.arms = ArmSchedule(description, self.contract, settings, device, seed)
         self._arm_torques = ArmTorques(description, torch, device)
+        self.trunk = TrunkSchedule(description, self.contract, settings, device)
         self._drives_arms = self.contract.arms == INVERSE_KINEMATICS
         self.moves = MoveSchedule(self.contract, settings, device)
         self._starts = Starts(description, settings, device)
@@ -257,7 +261,14 @@ class StandTrackEnv(VecEnv, Chance):
             torch.cuda.set_rng_state(state["generators"]["cuda"].cpu(), self.device)
 
     def _tensors(self) -> dict[str, torch.Tensor]:
-        owners = {"": self, "worlds": self.worlds, "arms": self.arms, "moves": self.moves, "starts": self._starts}
+        owners = {
+            "": self,
+            "worlds": self.worlds,
+            "arms": self.arms,
+            "moves": self.moves,
+            "trunk": self.trunk,
+            "starts": self._starts,
+        }
         owners |= {"disturbances": self.disturbances, "motors": self.worlds.motors}
         found: dict[str, torch.Tensor] = {}
         for owner, holder in owners.items():
@@ -295,6 +306,7 @@ class StandTrackEnv(VecEnv, Chance):
             self._commands[age].copy_(self._commands[age - 1])
         newest, before, before_that, oldest = self._commands
         asked = commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
+        asked = torch.clamp(asked + self.trunk.targets, self._q_min, self._q_max)
         if self._drives_arms:
             driven = torch.cat([self._arm_targets(), asked[:, FRONT:]], -1)
             asked = torch.where(self._own > 0.0, asked, driven)
@@ -334,10 +346,14 @@ class StandTrackEnv(VecEnv, Chance):
     def _measure(self) -> None:
         """Work out, once for each state, what many look at.
 
-        ``quat_WB`` is the orientation of the base in the true world, whose z is up also where the ground is inclined.
+        ``quat_WB`` is the orientation of the base in the true world, whose z is up also where the ground is inclined,
+        as if the trunk were not leant.
         """
         w = self.worlds
-        self._quat_WB = quat_multiply(w.slope_quat, w.qpos[:, 3:7])
+        half = 0.5 * self.trunk.asked[:, 1]
+        zero = torch.zeros_like(half)
+        back = torch.stack([torch.cos(half), zero, -torch.sin(half), zero], -1)
+        self._quat_WB = quat_multiply(quat_multiply(w.slope_quat, w.qpos[:, 3:7]), back)
         self._heading.copy_(torch.arctan2(*heading_sin_cos(*self._quat())))  # both captured graphs read it
         self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
 
@@ -345,8 +361,18 @@ class StandTrackEnv(VecEnv, Chance):
         return self._quat_WB.unbind(-1)
 
     def _velocity(self) -> torch.Tensor:
-        """Base velocity forward and left in the heading frame (N, 2) [m/s]."""
-        return in_heading_frame(self.worlds.qvel[:, :2], self._heading)
+        """Base velocity forward and left in the heading frame (N, 2) [m/s], less that of leaning."""
+        velocity = in_heading_frame(self.worlds.qvel[:, :2], self._heading)
+        return velocity - torch.nn.functional.pad(self.trunk.base_rate[:, :1], (0, 1))
+
+    def _place(self) -> torch.Tensor:
+        """Where the base is on the ground (N, 2) [m], less where leaning brings it."""
+        ahead = torch.stack([torch.cos(self._heading), torch.sin(self._heading)], -1)
+        return self.worlds.qpos[:, :2] - ahead * self.trunk.base[:, :1]
+
+    def _height(self) -> torch.Tensor:
+        """Height of the base (N,) [m], less what lowering and leaning change."""
+        return self.worlds.qpos[:, 2] - self.trunk.base[:, 1]
 
     def _follow(self) -> None:
         """Bring up to date how each robot has moved, and where it came to rest."""
@@ -354,7 +380,7 @@ class StandTrackEnv(VecEnv, Chance):
         self._mean_velocity.add_((self._velocity() - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
         self._load.copy_(w.load())
         self._settled = self.moves.settled & self._tracking() & (self._rank < self._rest_share)
-        self._anchor.copy_(torch.where(self._settled[:, None], self._anchor, w.qpos[:, :2]))
+        self._anchor.copy_(torch.where(self._settled[:, None], self._anchor, self._place()))
 
     def _tracking(self) -> torch.Tensor:
         return self._upright_start | (self.episode_length_buf > STAND_UP_STEPS)
@@ -365,6 +391,7 @@ class StandTrackEnv(VecEnv, Chance):
         w.qpos.copy_(torch.nan_to_num(w.qpos, nan=0.0, posinf=0.0, neginf=0.0))
         w.qvel.copy_(torch.nan_to_num(w.qvel, nan=0.0, posinf=0.0, neginf=0.0))
         self.episode_length_buf.add_(1)
+        self.trunk.advance(self._tracking())
         self._measure()
         self._command()
         low = w.lowest()
@@ -414,7 +441,7 @@ class StandTrackEnv(VecEnv, Chance):
         """Return the reward terms, which worlds failed (N,), and figures for the log."""
         w = self.worlds
         numbers = self.description.training
-        height = w.qpos[:, 2]
+        height = self._height()
         hind = w.toes[:, 2:]
         rising = torch.clamp(self.episode_length_buf * self.contract.dt / RISE_SECONDS, max=1.0)
         rising = torch.where(self._upright_start, torch.ones_like(rising), rising)
@@ -423,7 +450,7 @@ class StandTrackEnv(VecEnv, Chance):
         ended, met = self._terminations(low, hind, self._tracking())
         ended = finite & ended
         tracking = self._tracking().float()
-        toppling = self._toppling(hind) & ~w.quiet  # quiet ones are hardly pushed
+        toppling = self._toppling(hind)
         settled = self._settled.float()
         asked = (self._gait * (1 - settled))[:, None]  # or a robot turns away, so that its clock starts
         # by the command, or a robot that turns away a little would be asked to step, and need not rest
@@ -435,7 +462,7 @@ class StandTrackEnv(VecEnv, Chance):
         planted = torch.maximum(rewards.both_planted(self._load), toppling[:, None].float())
         sway = self._mean_velocity - self.moves.wanted
         turn = heading_error(self._quat_WB, self.moves.heading, torch)
-        drift = (w.qpos[:, :2] - self._anchor).norm(dim=-1)
+        drift = (self._place() - self._anchor).norm(dim=-1)
         change = (self._last_action - self._before_last)[:, 6:]
         overload = self._own * torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak
         terms = self._efforts()
@@ -506,7 +533,7 @@ class StandTrackEnv(VecEnv, Chance):
         step = self.episode_length_buf
         numbers = self.description.training
         grounded = low[:, self._grounding].amin(-1) < 0.002
-        fallen = tracking & (grounded | (self.worlds.qpos[:, 2] < numbers.height_fallen) | (self._up < 0.3))
+        fallen = tracking & (grounded | (self._height() < numbers.height_fallen) | (self._up < 0.3))
         beyond = (q < self._near_min) | (q > self._near_max)
         near = (beyond & (self._own > 0.0)).any(-1) & (step > 3)
         early = self._early() & (step > 3)
@@ -593,6 +620,7 @@ class StandTrackEnv(VecEnv, Chance):
         start = self._starts.draw()
         put(w.qpos, mask, start.qpos)
         put(w.qvel, mask, start.qvel)
+        self.trunk.reset(mask)
         self._measure()
         for command in self._commands:
             put(command, mask, start.command)
@@ -614,6 +642,14 @@ class StandTrackEnv(VecEnv, Chance):
         unknown = (self._rand() < self.settings.unknown_share) | self.disturbances.led
         put(self._known, mask, (~unknown).float())
 
+    def _unleant(self, omega: torch.Tensor) -> torch.Tensor:
+        """Return an angular velocity (N, 3) [rad/s] in the axes of a base that is not leant, less that of leaning."""
+        x, y, z = omega.unbind(-1)
+        pitch = self.trunk.asked[:, 1]
+        c = torch.cos(pitch)
+        s = torch.sin(pitch)
+        return torch.stack([c * x + s * z, y - self.trunk.pitch_rate, c * z - s * x], -1)
+
     def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
         w = self.worlds
         n = self.num_envs
@@ -622,9 +658,10 @@ class StandTrackEnv(VecEnv, Chance):
         gait = next_gait(self._gait, self.moves.velocity, error, self.contract, torch)
         self._gait.copy_(torch.where(self._rank < self._rest_share, gait, torch.ones_like(gait)))
         omega = quat_rotate(self.disturbances.mount, w.qvel[:, 3:6], inverse=True) + self.disturbances.gyro_bias
+        omega = self._unleant(omega)
         frame = observation_frame(
             terms=self.contract.terms,
-            q_offset=w.read_q - self._default_q,
+            q_offset=w.read_q - self._default_q - self.trunk.joints,
             quat_WB=read_quat,
             last_action=self._last_action,
             v_des=self.moves.velocity,
@@ -633,7 +670,7 @@ class StandTrackEnv(VecEnv, Chance):
             phase=self._phase(),
             gait=self._gait,
             omega_B=omega,
-            dq=w.qvel[:, 6:],
+            dq=w.qvel[:, 6:] - self.trunk.joint_rates,
             xp=torch,
         )
         noisy = frame + self._noise[:, None] * self._noise_half * (2 * torch.rand_like(frame) - 1)
@@ -655,7 +692,7 @@ class StandTrackEnv(VecEnv, Chance):
         extras = [
             torch.cat([self._velocity(), w.qvel[:, 2:3]], -1),
             self._mean_velocity,
-            in_heading_frame(w.qpos[:, :2] - self._anchor, self._heading) * 3,
+            in_heading_frame(self._place() - self._anchor, self._heading) * 3,
             w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,
@@ -675,6 +712,7 @@ class StandTrackEnv(VecEnv, Chance):
             self._gait[:, None],
             self._noise[:, None],
             w.quiet.float()[:, None],
+            self.trunk.asked * CRITIC_TRUNK,
         ]
         known = torch.cat([self._policy_obs, *extras], -1)  # a world that exploded has its shapes back after a step
         self._critic_obs.copy_(torch.nan_to_num(known).clamp(-50, 50))

@@ -13,7 +13,7 @@ from mimic.config.play import NOMINAL, Disturbance
 from mimic.control.joint_test import JointTest, Mistake
 from mimic.control.loop import run_policy
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
-from mimic.control.start import not_crouched
+from mimic.control.start import not_crouched, too_busy
 from mimic.control.tick import Safety
 from mimic.evaluation.episode import TIMING, play_episode
 from mimic.evaluation.policy import standing_track
@@ -165,3 +165,13 @@ def test_each_mistake_that_is_looked_for_touches_its_own_joints():
     assert len(others) == 12 + 12 + 6
     assert sorted({len(mistake.touches) for mistake in others}) == [1, 2, 6]
     assert isinstance(none, Mistake)
+
+
+def test_a_computer_that_is_late_while_the_robot_lies_is_too_busy_to_hold_it_up():
+    late = np.zeros(400)
+    assert too_busy(late) == ""
+    late[::20] = 0.03
+    assert too_busy(late) == ""
+    late = np.zeros(400)
+    late[::8] = 0.03
+    assert "12% of the control steps came more than 5 ms late, by up to 30 ms" in too_busy(late)

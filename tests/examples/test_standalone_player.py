@@ -63,7 +63,7 @@ def policy(request, description, tmp_path) -> Path:
 
 def test_it_plays_as_mimic_does(player, policy, description):
     held = not load_policy(policy, description).contract.interpolate
-    seconds = 1.0 if held else 2.0  # the last bit of a float32 grows, with held actions faster
+    seconds = 0.5 if held else 1.5  # the last bit of a float32 grows, with held actions faster
     toes = player.boxing(description.dt, seconds=seconds)
     scene = shipped("assets", "cyberdog2") / "scene.xml"
     _, q, quat, q_des = (np.array(column) for column in zip(*player.play(str(policy), str(scene), toes), strict=True))

@@ -59,6 +59,37 @@ class CalmSettings(EpisodeSettings):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class TrunkSettings(EpisodeSettings):
+    """Evaluation of crouching and leaning."""
+
+    episodes: int = 20
+    """Randomised robots for each case."""
+    seconds: float = 12.0
+    """Length of each [s]."""
+    cases: tuple[tuple[float, float, bool], ...] = (
+        (0.0, 0.0, False),
+        (-0.04, 0.0, False),
+        (-0.07, 0.0, False),
+        (0.0, 10.0, False),
+        (0.0, 20.0, False),
+        (-0.04, 10.0, False),
+        (-0.07, 20.0, False),
+        (-0.06, 0.0, True),
+        (-0.05, 15.0, True),
+    )
+    """Height of the hips [m], lean [deg], and whether the robot goes down and up again and again."""
+    pushes: tuple[float, ...] = (0.0, 0.5)
+    """Speeds of a push [m/s] …"""
+    push_interval: float = 4.0
+    """… after so long, from any side [s]."""
+    seed: int = FRESH_SEED
+    """Seed of the first episode."""
+
+    def __post_init__(self) -> None:
+        self.check_episodes(8.0, 600.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class LeadSettings(EpisodeSettings):
     """Evaluation of being led by the hand, by either front toe in any direction."""
 
