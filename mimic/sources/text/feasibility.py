@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.io.keyframes import KeyFrames
+from mimic.io.keyframes import KeyFrame, KeyFrames
 from mimic.records import JOINTS, FloatArray
 from mimic.robot.reach import FRONT, Reach
 
@@ -43,10 +43,27 @@ def violations(motion: KeyFrames, reach: Reach, max_seconds: float) -> list[str]
                 f"at most {np.degrees(commands.turn_rate):.0f} deg/s, so take at least "
                 f"{turn / commands.turn_rate:.1f} s"
             )
+        errors += [f"{where}: {text}" for text in _trunk(frame, reach)]
         inside = [f"{where}: {text}" for text in _angles(frame.q, reach)]
         errors += inside or [f"{where}: {text}" for text in _path(q, frame.q, frame.duration, reach)]
         q = frame.q
         heading = frame.heading
+    return errors
+
+
+def _trunk(frame: KeyFrame, reach: Reach) -> list[str]:
+    """Return violations of the range of the trunk."""
+    numbers = reach.description.trunk_numbers
+    height, lean = frame.trunk
+    if numbers is None:
+        return ["this robot neither crouches nor leans; leave height and lean_deg out"] if height or lean else []
+    errors = []
+    for name, value, (low, high), unit in (
+        ("height", height, numbers.height, "m"),
+        ("lean_deg", np.degrees(lean), np.degrees(numbers.pitch), "deg"),
+    ):
+        if not low - ROUNDING <= value <= high + ROUNDING:
+            errors.append(f"{name} is {value:g} {unit}; it must be from {low:g} to {high:.3g} {unit}")
     return errors
 
 

@@ -27,6 +27,8 @@ REVERSE_SECONDS = 1.65  # what a walk takes beside its distance: to get going, t
 STOP_SECONDS = 0.5
 HOLD_SECONDS = 1.0  # default durations [s]
 MOVE_SECONDS = 0.8
+TRUNK_SECONDS = 1.0  # down into a crouch or a bow, and up again [s]
+LITTLE = 0.5  # share of the way that "a little" goes
 PUNCH_SECONDS = 0.35  # from one arm posture to the next; a punch out, and its way back [s]
 TURN_RATE = math.radians(30)
 FASTEST_TURN = 1.1  # default turning rate [rad/s]; largest factor on it
@@ -63,14 +65,14 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
         SourceError: If a word is unknown, or something said cannot be used.
     """
     home = reach.description.poses["upright"][:FRONT]
-    hands = {"left": home[:3], "right": home[3:]}
+    hands = {"left": home[:3], "right": home[3:], "trunk": np.zeros(2)}
     heading = 0.0
     frames = []
     groups, typed = parse(sentence)
     for group in groups:
         timeline = _Timeline(before=frames[-1].velocity[0] if frames else 0.0)
         for action in group:
-            add = _add_base if action.moves_base else _add_hands
+            add = _add_base if action.moves_base else _add_trunk if action.moves_trunk else _add_hands
             timeline.understood.append(add(action, timeline, hands, reach))
         if frames and frames[-1].what == " while ".join(timeline.understood):
             timeline.understood[-1] += ", again"
@@ -120,6 +122,36 @@ def _turn(action: Action, timeline: _Timeline) -> str:
     speed = said.get("mps", WALK_SPEED[action.way] * min(action.speed, FASTEST_TURN))
     timeline.base.append((seconds, -speed if action.way == "back" else speed, angle))
     return f"walk {action.way} in a circle to the {side}, {speed * seconds / math.pi:.2g} m across, in {seconds:.3g} s"
+
+
+def _add_trunk(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:
+    numbers = reach.description.trunk_numbers
+    if numbers is None:
+        raise SourceError(f"{reach.description.name} neither crouches nor leans; leave '{action.verb}' out")
+    said = action.amounts
+    share = LITTLE if action.way else 1.0
+    height = share * numbers.height[0]
+    pitch = math.radians(said["degrees"]) if "degrees" in said else share * numbers.pitch[1]
+    if pitch > numbers.pitch[1]:
+        raise SourceError(f"{said['degrees']:g}° are too far; the robot leans by {math.degrees(numbers.pitch[1]):.0f}°")
+    stand = np.zeros(2)
+    there = {"crouch": np.array([height, 0.0]), "squat": np.array([height, 0.0]), "rise": stand}
+    goal = there.get(action.verb, np.array([0.0, pitch]))
+    moving = TRUNK_SECONDS / action.speed
+    times = int(said.get("times", 1.0))
+    rows = [(moving, goal), (HOLD_SECONDS / 2, goal), (moving, stand)] * times
+    if action.verb in ("crouch", "lean", "rise"):
+        rows = [(moving, goal)]
+    whole = sum(seconds for seconds, _ in rows)
+    if "seconds" in said and action.stays and times == 1:
+        rows.insert(1, (said["seconds"], goal))
+    elif "seconds" in said:
+        rows = [(seconds * said["seconds"] / whole, q) for seconds, q in rows]
+    timeline.hands["trunk"] = rows
+    far = f"{-100 * height:.0f} cm" if action.verb in ("crouch", "squat") else f"{math.degrees(pitch):.0f}°"
+    took = "" if "seconds" not in said else f", {said['seconds']:g} s"
+    often = f" {times} times" if times > 1 else ""
+    return f"stand up straight{took}" if action.verb == "rise" else f"{action.verb} by {far}{often}{took}"
 
 
 def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:
@@ -206,7 +238,7 @@ def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -
         base.append((lacking, forward, 0.0))
     ends = np.cumsum([part[0] for part in base])
     tracks = {}
-    for side in SIDES:
+    for side in (*SIDES, "trunk"):
         moves = timeline.hands.get(side, [])
         t = np.cumsum([0.0, *(duration for duration, _ in moves)])
         tracks[side] = t, np.stack([hands[side], *(q for _, q in moves)])
@@ -218,14 +250,19 @@ def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -
     what = " while ".join(timeline.understood)
     for moment in moments:
         part = min(int(np.searchsorted(ends, moment - 1e-6)), len(base) - 1)
-        q = np.array([np.interp(moment, t, joint) for t, own in tracks.values() for joint in own.T])
+        left, right, trunk = (np.array([np.interp(moment, t, x) for x in own.T]) for t, own in tracks.values())
         turned = float(np.interp(moment, [0.0, *ends], gains))
         frames.append(
             KeyFrame(
-                duration=float(moment - before), velocity=(base[part][1], 0.0), heading=heading + turned, q=q, what=what
+                duration=float(moment - before),
+                velocity=(base[part][1], 0.0),
+                heading=heading + turned,
+                q=np.concatenate([left, right]),
+                trunk=(float(trunk[0]), float(trunk[1])),
+                what=what,
             )
         )
         before = float(moment)
-    for side in SIDES:
+    for side in tracks:
         hands[side] = tracks[side][1][-1]
     return frames, heading + float(gains[-1])

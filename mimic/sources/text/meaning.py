@@ -55,6 +55,9 @@ BOXED = {
 WAYS_ONLY = {(False, False, True)}  # clauses without a verb that go on with a verb before, by hand, side and way
 HANDS_ONLY = {(True, False, False), (False, True, False), (True, True, False)}
 MOST_READINGS = 64  # of one sentence
+TRUNK_WAYS = {  # for each verb of the trunk the directions that it takes
+    "CROUCH": {"down"}, "SQUAT": {"down"}, "BOW": {"down", "forward"}, "LEAN": {"forward"}, "RISE": {"up"},
+}  # fmt: skip
 ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
 LITTLE = {"turn": ("degrees", 30.0), "walk": ("metres", 0.25), "step": ("metres", 0.15)}
 FURTHER = {
@@ -68,7 +71,9 @@ FURTHER = {
 IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT", "ONE_TWO"}
 BOTH = ("left", "right")
 OPPOSITE = {"left": "right", "right": "left"}
-VERBS_SAID = "step, walk, turn, stop, wait, wave, punch, jab, raise, lower, open, put, move, hold, point or stretch"
+VERBS_SAID = (
+    "step, walk, turn, stop, wait, wave, punch, jab, raise, lower, open, put, move, hold, point, stretch, crouch or bow"
+)
 AMOUNTS = {
     "seconds",
     "metres",
@@ -84,7 +89,10 @@ AMOUNTS = {
     "circle",
 }
 NAMED = {"GUARD": "guard", "T_POSE": "open"}  # postures of both hands
-CLAUSES = {"step", "walk", "turn", "still", "gesture", "place", "pose", "repeat", "switch", "more", "forbid", "without"}
+CLAUSES = {
+    "step", "walk", "turn", "still", "gesture", "place", "trunk", "pose", "repeat", "switch", "more", "forbid",
+    "without",
+}  # fmt: skip
 
 
 @dataclass(kw_only=True, slots=True)
@@ -103,6 +111,11 @@ class Action:
     def moves_base(self) -> bool:
         """Whether it moves the base or lets it stand, not the hands."""
         return self.verb in BASE
+
+    @property
+    def moves_trunk(self) -> bool:
+        """Whether it lowers or leans the trunk."""
+        return self.sides == ("trunk",)
 
 
 Groups = list[list[Action]]
@@ -325,6 +338,7 @@ def _note_word(now: Clause, token: Token) -> None:
     elif token.type in VERBS or token.type in (
         "TURN_AROUND",
         "COME_BACK",
+        *TRUNK_WAYS,
         *NAMED,
         "HIGH_FIVE",
         "ONE_TWO",
@@ -559,7 +573,8 @@ class _Reader:
         paces = [PACES[kind] for kind in now.words if kind in PACES for _ in now.words[kind]]
         now.refuse(len(paces) > 1 or (paces and "mps" in now.amounts), "has two speeds; say one")
         speed = paces[0] if paces else 1.0
-        action = self._base(now, speed) if _moves_base(now) else self._of_hands(now, speed)
+        means = self._base if _moves_base(now) else self._trunk if now.kind in TRUNK_WAYS else self._of_hands
+        action = means(now, speed)
         takes = _takes(action)
         for name, value in action.amounts.items():
             now.refuse(name not in takes, f"has {value:g} {name}; {action.verb} takes {', '.join(takes)}")
@@ -567,7 +582,7 @@ class _Reader:
             now.refuse(much <= action.amounts.keys(), f"says too much at once: {', '.join(action.amounts)}")
         greeting = now.words.get("GREETING", [""])[0]
         now.refuse(greeting and action.verb != "wave", f"has {greeting!r}, which only goes with 'wave'")
-        if not action.moves_base:
+        if not action.moves_base and not action.moves_trunk:
             self.hands = action.sides
             self.at |= dict.fromkeys(action.sides, action.way)
         self.walk = action if action.verb in ("walk", "step") else self.walk
@@ -692,6 +707,13 @@ class _Reader:
         action = Action(verb="turn", sides=(*sides, "left")[:1], amounts=amounts, speed=speed)
         self.turns.append(action)
         return action
+
+    def _trunk(self, now: Clause, speed: float) -> Action:
+        now.refuse(now.ways - TRUNK_WAYS[now.kind], "has a direction in which the trunk does not go")
+        now.refuse("degrees" in now.amounts and now.kind not in ("BOW", "LEAN"), "has degrees; say them of a bow")
+        way = "a little" if now.has("LITTLE") else ""
+        amounts = dict(now.amounts)
+        return Action(verb=now.kind.lower(), sides=("trunk",), way=way, amounts=amounts, stays=now.stays, speed=speed)
 
     def _of_hands(self, now: Clause, speed: float) -> Action:
         now.refuse("bare" in now.amounts, f"has the number {now.amounts.get('bare', 0):g} without a unit; say times")
@@ -828,6 +850,9 @@ def _takes(action: Action) -> tuple[str, ...]:
         "step": ("times", "seconds", "metres", "mps"),
         "walk": ("seconds", "metres", "mps", "degrees"),
         "turn": ("degrees", "seconds"),
+        "squat": ("times", "seconds"),
+        "bow": ("times", "degrees", "seconds"),
+        "lean": ("degrees", "seconds"),
     }
     return moves.get(action.verb, ("seconds",))
 

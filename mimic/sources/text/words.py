@@ -15,6 +15,7 @@ from mimic.errors import SourceError
 VERBS = {
     "STEP", "WALK", "MOVE", "STOP", "WAIT", "HOLD", "TURN", "SPIN", "WAVE", "PUNCH", "JAB", "CROSS", "HOOK", "UPPERCUT",
     "CYCLE", "RAISE", "LOWER", "OPEN", "CLOSE", "PUT", "EXTEND", "STRETCH", "SWITCH",
+    "CROUCH", "SQUAT", "BOW", "LEAN",
 }  # fmt: skip
 SHORTEST = 4  # letters of a word in which one may be wrong; two may have changed places in any
 _REWRITTEN = (  # phrases that mean others

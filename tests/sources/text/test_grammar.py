@@ -385,3 +385,26 @@ def test_a_walk_in_a_circle_turns_once_all_the_way_round(side, turned, plan):
     (frame,) = plan(f"walk in a circle{side}").frames
     assert frame.heading == pytest.approx(turned)
     assert frame.velocity[0] > 0.2
+
+
+@pytest.mark.parametrize(
+    ("sentence", "lowest", "furthest", "at_end"),
+    [
+        ("crouch", -0.07, 0.0, (-0.07, 0.0)),
+        ("crouch a little, then stand up straight", -0.035, 0.0, (0.0, 0.0)),
+        ("squat three times", -0.07, 0.0, (0.0, 0.0)),
+        ("take a bow", 0.0, 20.05, (0.0, 0.0)),
+        ("lean forward 10 degrees while waving", 0.0, 10.0, (0.0, 10.0)),
+    ],
+)
+def test_the_trunk_crouches_and_bows(reach, sentence, lowest, furthest, at_end):
+    frames = plan_by_grammar(sentence, reach).frames
+    heights, leans = np.array([frame.trunk for frame in frames]).T
+    assert heights.min() == pytest.approx(lowest, abs=1e-6)
+    assert np.degrees(leans).max() == pytest.approx(furthest, abs=0.01)
+    assert (heights[-1], np.degrees(leans[-1])) == pytest.approx(at_end, abs=0.01)
+
+
+def test_a_lean_beyond_what_the_robot_does_is_refused(reach):
+    with pytest.raises(SourceError, match="30° are too far; the robot leans by 20°"):
+        plan_by_grammar("lean forward 30 degrees", reach)
