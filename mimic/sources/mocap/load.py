@@ -38,14 +38,14 @@ READERS: Mapping[str, Callable[[Path, MocapSettings], Points]] = {
 ARM = 0.5
 """Approximate length of an adult's arm, shoulder -> elbow -> wrist [m]; it decides the unit of a file that names none.
 The motion does not depend on it, because arms are measured in their own length."""
-METRIC = ("m", "cm", "mm")
-"""Units that are confused in a file that names one, and those of points without one."""
-SCALED = (".bvh", ".c3d")
-"""Files in which lengths without a unit may be in inches or decimetres."""
+METRIC = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Units that a file without one may have, and those that are confused where it names one [m]."""
+BVH_UNITS = {**METRIC, "inches": 0.0254, "CMU's unit": 0.0254 / 0.45}
+"""Those of BVH, which has no place for a unit: Biovision's own are in inches, CMU's skeletons 1/0.45 of one [m]."""
 LONGEST = (0.15, 1.6)
-"""An arm is not shorter and not longer [m]; the units of UNITS are at most a factor of ten apart."""
+"""An arm in the unit that a file names is not shorter and not longer [m]."""
 CORRECTED = (0.25, 1.0)
-"""The same where a unit of METRIC must be meant [m]: 17 m may be anything."""
+"""The same where the unit follows from it [m]."""
 CLEARLY = 0.75
 """Minimum component of the torso direction along an axis that is taken as up."""
 
@@ -228,14 +228,13 @@ def _unit(named: Points, path: Path) -> tuple[str, float, tuple[str, ...]]:
     length = float(np.quantile(known, 0.9))
     if given is not None and LONGEST[0] <= UNITS[given] * length <= LONGEST[1]:
         return given, UNITS[given], ()
-    guessed = given is None and path.suffix.lower() in SCALED
-    units = UNITS if guessed else METRIC
-    best = min(units, key=lambda name: abs(np.log(max(UNITS[name] * length, 1e-12) / ARM)))
-    shortest, longest = LONGEST if guessed else CORRECTED
-    if not shortest <= UNITS[best] * length <= longest:
+    units = BVH_UNITS if path.suffix.lower() == ".bvh" else METRIC
+    best = min(units, key=lambda name: abs(np.log(max(units[name] * length, 1e-12) / ARM)))
+    if not CORRECTED[0] <= units[best] * length <= CORRECTED[1]:
         raise SourceError(
-            f"the arms in {path.name} are {length:.3g} {given or 'units'} long; expected {shortest:g} to "
-            f"{longest:g} m, in {' or '.join(units)}: correct the unit, or the positions"
+            f"the arms in {path.name} are {length:.3g} {given or 'units'} long; expected {CORRECTED[0]:g} to "
+            f"{CORRECTED[1]:g} m, in {' or '.join(units)}: correct the unit, or the positions"
         )
-    doubt = f"the file says {given}, but its arms would be {UNITS[given or best] * length:.3g} m long"
-    return f"{best} by the length of the arms", UNITS[best], (doubt,) * (given is not None)
+    would = UNITS[given or "m"] * length
+    doubts = (f"the file says {given}, but its arms would be {would:.3g} m long",) * (given is not None)
+    return f"{best} by the length of the arms", units[best], doubts

@@ -14,7 +14,7 @@ from mimic.records import SIDES, FloatArray
 
 UPS = ("x", "y", "z", "-x", "-y", "-z")
 """Axes that may point up."""
-UNITS = {"m": 1.0, "dm": 0.1, "in": 0.0254, "cm": 0.01, "mm": 0.001}
+UNITS = {"m": 1.0, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 """Length of each unit that a file may use [m]."""
 
 
