@@ -16,7 +16,7 @@ from mimic.config.pose import PoseSettings
 from mimic.errors import SourceError
 from mimic.io.store import plain, sha256_of
 from mimic.records import BoolArray, FloatArray, PoseTrack
-from mimic.sources.video.decoding import Video, missing_bytes, open_video, true_times
+from mimic.sources.video.decoding import Video, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
 from mimic.sources.video.pose_models.blazepose import BlazePose, Everybody
@@ -33,6 +33,9 @@ MAX_SWAP_SHARE = 0.05
 """A larger share of frames with swapped left and right gives a warning."""
 MIN_PERSON_SHARE = 0.8
 """A smaller share of frames with a person gives a warning."""
+
+LACKING = 0.5
+"""Time at the end of a file without a picture that is reported [s]."""
 
 _DEFAULT = PoseSettings()
 
@@ -152,7 +155,7 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     track = PoseTrack(
         t=t, landmarks=landmarks, image=image, score=score, valid=score > 0.0, size=video.size, swapped=nothing
     )
-    said = [*_file_warnings(path, video, len(t), repaired), *people.sentences()]
+    said = [*_file_warnings(video, np.array(stamps), repaired), *people.sentences()]
     track = _without(track, ~people.followed_rows())
     return _Detections(track, np.array(change), np.array(light), np.array(clothes), said)
 
@@ -197,16 +200,17 @@ def _check_person(track: PoseTrack, rows: BoolArray, name: str, settings: PoseSe
         )
 
 
-def _file_warnings(path: Path, video: Video, frames: int, repaired: int) -> Iterator[str]:
-    if missing := missing_bytes(path):
-        yield f"the file is cut off, {missing} bytes short; the end may be missing: copy it again"
+def _file_warnings(video: Video, stamps_ms: FloatArray, repaired: int) -> Iterator[str]:
+    lacking = (video.end_ms - stamps_ms.max()) / 1e3
+    if lacking > LACKING:
+        yield f"the last {lacking:.1f} s of the file have no picture; if it was cut off, copy it again"
     if lost := video.damaged:
         yield (
             f"{len(lost)} frames are damaged and left out, at {min(lost):.2f} to {max(lost):.2f} s; what is between "
             "their neighbours is not what the person did: copy the file again"
         )
     if repaired:
-        yield f"{repaired} of {frames} time stamps do not increase; these frames got interpolated times"
+        yield f"{repaired} of {len(stamps_ms)} time stamps do not increase; these frames got interpolated times"
 
 
 def doubts(track: PoseTrack, settings: PoseSettings) -> Iterator[str]:
