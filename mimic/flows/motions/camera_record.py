@@ -41,7 +41,7 @@ class CameraRecord:
         rows = 1e3 * np.array(self.latency[-latest:] if latest else self.latency)
         if not len(rows):
             return "no frame yet"
-        dropped = sum(row.skipped for row in self.seen)
+        dropped = self.seen[-1].number + 1 - len(self.seen)
         return (
             f"{np.median(rows):.0f} ms p50, {np.quantile(rows, 0.95):.0f} ms p95, {rows.max():.0f} ms max; "
             f"{len(self.seen)} frames, {dropped} dropped in favour of newer ones"
@@ -55,7 +55,7 @@ class CameraRecord:
             t=np.array([row.t for row in rows]) - self.began,
             latency=np.array(self.latency),
             detector=np.array([row.detector_s for row in rows]),
-            skipped=np.array([row.skipped for row in rows], dtype=np.int64),
+            skipped=np.diff(np.array([row.number for row in rows], dtype=np.int64), prepend=-1) - 1,
             seen=np.array(wrists, dtype=np.bool_).reshape(-1, 2),
         )
 

@@ -385,6 +385,7 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
         SourceError: If they are in no arm lengths, or of a body that has no arms' length.
     """
     reach = np.linalg.norm(wrists.p_SH[wrists.valid], axis=-1)
+    across = wrists.p_SH[..., 1].T
     longest = float(np.quantile(reach, 0.98)) if len(reach) else 1.0
     if not 0.2 <= longest <= 2.0:
         raise SourceError(
@@ -396,7 +397,9 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
             f"the arms are {wrists.arm_length:.3g} m long; expected {LONGEST[0]:g} to {LONGEST[1]:g} m: give the "
             "positions in metres"
         )
-    left, right = np.nanmedian(np.where(wrists.valid, wrists.p_SH[..., 1], np.nan), axis=0)
+    left, right = (
+        np.median(own[seen]) if seen.any() else 0.0 for own, seen in zip(across, wrists.valid.T, strict=True)
+    )
     if left < -ACROSS and right > ACROSS:
         yield "each hand is mostly on the side of the other one: if the sides are exchanged, exchange left and right"
     elif min(left, right) > ACROSS or max(left, right) < -ACROSS:

@@ -89,7 +89,10 @@ def test_a_file_that_is_cut_off_says_when_it_would_end(ending, tmp_path):
     path = of_h264(tmp_path / f"a.{ending}")
     whole = path.read_bytes()
     if ending == "mp4":  # its index comes first
-        with av.open(str(path)) as given, av.open(str(tmp_path / "b.mp4"), "w", options={"movflags": "faststart"}) as to:
+        with (
+            av.open(str(path)) as given,
+            av.open(str(tmp_path / "b.mp4"), "w", options={"movflags": "faststart"}) as to,
+        ):
             stream = to.add_stream_from_template(given.streams.video[0])
             for packet in given.demux(video=0):
                 if packet.dts is not None:

@@ -4,8 +4,8 @@ mediapipe 0.10.14 is the last release whose wheel carries the models of the dete
 ones carry none. So its wheel comes once from the package registry that pip or uv is set up with. The two models are
 taken out of it by name, checked by SHA-256, and stored in a zip (a ``.task`` file).
 
-The landmark model lacks one thing that the Tasks API asks for: how pictures are normalised. It is added as TFLite
-metadata; weights and graph stay as they are.
+The landmark model lacks one thing that the Tasks API asks for: how pictures are normalised. assets/pose/landmarks.head,
+which lab/people/pose_head.py makes, goes before it and says so; weights and graph stay as they are.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mimic.errors import AssetError
-from mimic.io.assets import user_cache
+from mimic.io.assets import shipped, user_cache
 from mimic.io.store import written_whole
-from mimic.sources.video.pose_models.tflite import ALIGNMENT, with_normalisation
 from mimic.sources.video.registry import RegistryError, download
 
 Progress = Callable[[int, int | None], None]
@@ -44,16 +43,9 @@ MODELS = {
 }
 """Name in a bundle -> name in the wheel, and SHA-256."""
 BUNDLE = f"blazepose_full_{RELEASE}.task"
-_LANDMARKS = "pose_landmarks_detector.tflite"
-
-_MEAN = 0.0
-"""Offset of the pictures of the landmark model.
-
-Source: mediapipe 0.10.14, modules/pose_landmark/pose_landmark_by_roi_cpu.pbtxt, output_tensor_float_range.
-"""
-_STD = 255.0
-"""Their scale: pictures are 0 to 1. The detector's model says -1 to 1 itself."""
-
+LANDMARKS = "pose_landmarks_detector.tflite"
+ALIGNMENT = 16
+"""TFLite aligns the weights in a model to this [bytes]."""
 
 def is_here(given: Path | None = None) -> bool:
     """Return whether `pose_model` needs no download."""
@@ -127,7 +119,7 @@ def _bundled(source: Path, path: Path) -> Path:
         AssetError: If one is missing there, or is another model.
     """
     models = {name: _model(source, member, digest) for name, (member, digest) in MODELS.items()}
-    models[_LANDMARKS] = with_normalisation(models[_LANDMARKS], _MEAN, _STD)
+    models[LANDMARKS] = shipped("assets", "pose", "landmarks.head").read_bytes() + models[LANDMARKS]
     with written_whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
         for name, content in models.items():
             entry = zipfile.ZipInfo(name)
