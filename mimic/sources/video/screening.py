@@ -129,6 +129,9 @@ def posture(track: PoseTrack) -> str:
             "the trunk lies across the picture; if the video is turned by 90°, rotate it; if the person leans or lies, "
             "the robot does not"
         )
+    lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
+    if np.quantile(lean, 0.8) > LEANT or _hips_bent(track) > BENT:
+        return "the person bends, sits, squats or leans: the robot moves its front legs as the arms, and does not"
     metres, pixels = (points - points.mean(axis=1, keepdims=True) for points in (metres, pixels))
     slopes = (metres * pixels).sum(axis=1) / (metres**2).sum(axis=1)
     wide = float(np.median(slopes[:, 0] / slopes[:, 1]))
@@ -137,9 +140,6 @@ def posture(track: PoseTrack) -> str:
             f"the person is {'narrower' if wide < 1.0 else 'wider'} than people are; if the picture is squeezed, "
             "restore its width and height"
         )
-    lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
-    if np.quantile(lean, 0.8) > LEANT or _hips_bent(track) > BENT:
-        return "the person bends, sits, squats or leans: the robot moves its front legs as the arms, and does not"
     return ""
 
 

@@ -14,7 +14,7 @@ import fcntl
 import hashlib
 import struct
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,9 +22,6 @@ from mimic.errors import AssetError
 from mimic.io.assets import shipped, user_cache
 from mimic.io.store import written_whole
 from mimic.sources.video.registry import RegistryError, download
-
-Progress = Callable[[int, int | None], None]
-"""Takes the megabytes done, and their total where it is known."""
 
 RELEASE = "0.10.14"
 """The release of mediapipe whose wheel carries the models."""
@@ -47,19 +44,19 @@ LANDMARKS = "pose_landmarks_detector.tflite"
 ALIGNMENT = 16
 """TFLite aligns the weights in a model to this [bytes]."""
 
+
 def is_here(given: Path | None = None) -> bool:
     """Return whether `pose_model` needs no download."""
     folder = user_cache("models")
     return given is not None or (folder / BUNDLE).is_file() or any(folder.glob(_WHEELS))
 
 
-def pose_model(given: Path | None = None, *, progress: Progress | None = None) -> Path:
+def pose_model(given: Path | None = None) -> Path:
     """Return the bundle of the BlazePose models; at the first use it is made from the package that carries them.
 
     Args:
         given: A bundle (.task) of another BlazePose model, or mediapipe's wheel 0.10.14; by default the cached bundle,
             or one that is made of a wheel that a person put beside it or that is downloaded.
-        progress: Called while the package is downloaded.
 
     Raises:
         AssetError: If the file is neither, or the models are neither cached nor can be downloaded.
@@ -77,7 +74,7 @@ def pose_model(given: Path | None = None, *, progress: Progress | None = None) -
         if here := sorted(path.parent.glob(_WHEELS)):
             return _bundled(here[0], path)
         try:
-            with download(f"mediapipe=={RELEASE}", progress=progress) as package:
+            with download(f"mediapipe=={RELEASE}") as package:
                 return _bundled(package, path)
         except RegistryError as reason:
             raise AssetError(

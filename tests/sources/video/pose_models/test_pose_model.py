@@ -134,10 +134,7 @@ def test_the_models_come_from_the_registry_of_pip_or_uv(bundle, cache, monkeypat
     else:
         monkeypatch.setenv("UV", os.environ.get("UV") or str(shutil.which("uv")))
         monkeypatch.setenv("PIP_NO_INDEX", "1")
-    calls = []
-    path = pose_model(progress=lambda done, total: calls.append(done))
-    assert path.read_bytes() == bundle.read_bytes()
-    assert max(calls) > 10
+    assert pose_model().read_bytes() == bundle.read_bytes()
 
 
 def _folder(path: Path) -> Path:
