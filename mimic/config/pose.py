@@ -18,12 +18,6 @@ class PoseSettings:
     min_person_share: float = 0.3
     """Minimum share of frames that show both shoulders and a wrist: 0.60-1.00 on real clips, 0.02-0.11 on clips without
     a person."""
-    min_duration: float = 0.1
-    """Minimum length of a clip [s]."""
-    max_jump: float = 0.25
-    """Largest plausible motion of a hip or wrist between two frames [m]."""
-    max_jump_share: float = 0.05
-    """Largest share of frames with such a jump, before a warning."""
     person: Literal["left", "right", "largest"] | int | None = None
     """Person to follow if a video shows several: position in the first frame, or number from the left."""
     cutoff_hz: float = 6.0

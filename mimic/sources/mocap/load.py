@@ -23,6 +23,7 @@ from mimic.sources.mocap.points import UNITS, UPS, Points
 from mimic.sources.mocap.skeletons import NEEDED, Columns, read_names, recognise
 from mimic.sources.mocap.smpl import read_parameters
 from mimic.sources.mocap.trc import read_trc
+from mimic.sources.video.screening import SHORTEST
 from mimic.sources.video.smoothing import smooth
 
 READERS: Mapping[str, Callable[[Path, MocapSettings], Points]] = {
@@ -66,10 +67,10 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
         SourceError: If the file cannot be read, names no shoulders and wrists, or shows them too seldom.
     """
     points = READERS[path.suffix.lower()](path, mocap)
-    if len(points.t) < 2 or 0.0 < points.t[-1] - points.t[0] < settings.min_duration:
+    if len(points.t) < 2 or 0.0 < points.t[-1] - points.t[0] < SHORTEST:
         raise SourceError(
             f"{path.name} has {len(points.t)} rows in {np.ptp(points.t) if len(points.t) else 0:.2f} s; a motion needs "
-            f"at least two and {settings.min_duration:g} s"
+            f"at least two and {SHORTEST:g} s"
         )
     check_clock(
         points.t, path.name, SourceError, "store times in seconds, or give the frame rate as [mocap] fps in --config"

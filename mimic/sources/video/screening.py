@@ -10,8 +10,13 @@ CUT_CHANGE = 8.0
 """Minimum thumbnail change at a cut [grey levels of 255]; a hard cut between similar rooms gives 22."""
 CUT_RATIO = 4.0
 """Minimum ratio to the change in neighbouring frames: 12 at that cut, at most 2.1 in fourteen clips without a cut."""
+SHORTEST = 0.1
+"""A clip or a recording is no shorter: the usual time between two targets [s]."""
+JUMP = 7.5
+"""Faster than this no hip and no wrist moves [m/s], 0.25 m in a frame of FRAME and as far in a shorter one."""
 FRAME = 1 / 30
-"""Frame interval of ``max_jump``; longer intervals allow proportionally larger movements [s]."""
+MOST_JUMPS = 0.05
+"""A larger share of frames with a jump is reported."""
 
 UNSTEADY = (0.145, 0.075)
 """What `unsteadiness` of both kinds must exceed where no body is: of 25 clips of people at most 0.12 and 0.06, of five
@@ -56,12 +61,12 @@ def shot_starts(change: FloatArray) -> IntArray:
     return np.flatnonzero((change > CUT_CHANGE) & (change > CUT_RATIO * (np.max(neighbours, axis=0) + 1.0)))
 
 
-def jump_share(track: PoseTrack, max_jump: float) -> float:
-    """Return the share of frames in which a wrist or the whole person moves by more than ``max_jump`` [m] at once."""
+def jump_share(track: PoseTrack) -> float:
+    """Return the share of frames in which a wrist or the whole person moves faster than JUMP."""
     rows = np.flatnonzero(track.valid[:, SHOULDERS].all(axis=1))
     if len(rows) < 2:
         return 0.0
-    limit = max_jump * np.maximum(1.0, np.diff(track.t[rows]) / FRAME)
+    limit = JUMP * np.maximum(FRAME, np.diff(track.t[rows]))
     wrists = np.where(track.valid[rows][:, WRISTS, None], track.landmarks[rows][:, WRISTS], np.nan)
     wrists_moved = np.linalg.norm(np.diff(wrists, axis=0), axis=-1)
     pixels = in_pixels(track)[rows][:, _TRUNK]

@@ -21,7 +21,7 @@ from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
 from mimic.sources.video.pose_models.blazepose import BlazePose, Everybody
 from mimic.sources.video.pose_models.pose_model import BUNDLE, pose_model
-from mimic.sources.video.screening import is_invented, jump_share, person_rows, posture
+from mimic.sources.video.screening import MOST_JUMPS, SHORTEST, is_invented, jump_share, person_rows, posture
 from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
 
 log = logging.getLogger(__name__)
@@ -181,14 +181,14 @@ def _check_person(track: PoseTrack, rows: BoolArray, name: str, settings: PoseSe
         SourceError: If the clip is too short, or has too few such frames.
     """
     t = track.t
-    if t[-1] < settings.min_duration:
+    if t[-1] < SHORTEST:
         raise SourceError(
             f"{name} has {len(t)} frame{'s' * (len(t) > 1)} in {t[-1]:.2f} s, shorter than a sampling step; "
-            f"use a video of at least {settings.min_duration:g} s"
+            f"use a video of at least {SHORTEST:g} s"
         )
     if is_invented(track, rows):
         raise SourceError(
-            f"{name} shows no person: what is found has limbs and a size that change from frame to frame; "
+            f"{name} shows no person to follow: what is found has limbs and a size that change from frame to frame; "
             "film one whole person, without cuts, in a picture that is not squeezed"
         )
     share = float(rows.mean())
@@ -217,16 +217,16 @@ def doubts(track: PoseTrack, settings: PoseSettings) -> Iterator[str]:
     """Yield what makes a clip or a camera doubtful: a person seen seldom, jumps, exchanged sides, posture."""
     swapped = track.swapped
     person = float(person_rows(track.score, settings.min_visibility).mean())
-    jumps = jump_share(track, settings.max_jump)
+    jumps = jump_share(track)
     if person < MIN_PERSON_SHARE:
         yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
     still = f"a wrist or the person still jumps in {jumps:.0%} of the frames"
     if swapped.mean() > MAX_SWAP_SHARE:
         yield (
             f"the detector swapped left and right in {swapped.sum()} of {len(swapped)} frames; this was corrected, but "
-            f"{still if jumps > settings.max_jump_share else 'errors may remain'}: film closer and in good light"
+            f"{still if jumps > MOST_JUMPS else 'errors may remain'}: film closer and in good light"
         )
-    elif jumps > settings.max_jump_share:
+    elif jumps > MOST_JUMPS:
         yield (
             f"the person or a wrist jumps in {jumps:.0%} of the frames, as where arms are hard to see or several "
             "people are; use a clip of one person from the front or a three-quarter view"
