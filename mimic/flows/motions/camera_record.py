@@ -88,9 +88,8 @@ class CameraRecord:
         pose = self.settings.pose
         person = person_rows(track.score, pose.min_visibility)
         clothes = np.array([row.clothes for row in rows])
-        still = np.zeros(len(rows))
-        light = np.full((len(rows), 2), 100.0)  # a camera has no cuts and no fades
-        changes = find_changes(track, person, clothes, still, light)
+        nothing = np.zeros(len(rows))  # a camera has no cuts and no fades
+        changes = find_changes(track, person, clothes, nothing, nothing > 0.0)
         return (*rows[-1].people, *describe(changes, track.t), *doubts(track, pose))
 
     def report(self, pose: PoseTrack, reporter: Reporter) -> None:

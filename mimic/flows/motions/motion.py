@@ -266,7 +266,7 @@ def _track_two(path: Path, other: Path, settings: PoseSettings, cache: bool, rep
     order = "before" if fit.delay > 0 else "after"
     reporter.note(
         f"two views    {other.name} starts {abs(fit.delay):.2f} s {order} {path.name}, "
-        f"from a camera {fit.angle_deg:.0f}° to its side; arms and trunk agree to {100 * fit.apart:.0f} cm"
+        f"from a camera {fit.angle_deg:.0f}° to its side"
     )
     return merged
 

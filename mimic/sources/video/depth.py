@@ -22,7 +22,7 @@ from scipy.ndimage import gaussian_filter1d
 from mimic.io.assets import shipped
 from mimic.records import ELBOWS, HIPS, LANDMARKS, SHOULDERS, WRISTS, FloatArray, PoseTrack, landmarks_of
 from mimic.sources.video.screening import spread_of
-from mimic.sources.video.smoothing import segments
+from mimic.sources.video.smoothing import interpolated, segments
 
 RATE_HZ = 15.0
 """Rate at which the network sees the landmarks [Hz]."""
@@ -122,7 +122,7 @@ class LiveDepth:
         past = t - np.arange(WINDOW // 2, -1, -1) / RATE_HZ
         while len(self._rows) > 2 and self._rows[1][0] < past[0]:
             self._rows.popleft()
-        rows = _at(past, np.array([at for at, _ in self._rows]), np.stack([row for _, row in self._rows]))
+        rows = interpolated(past, np.array([at for at, _ in self._rows]), np.stack([row for _, row in self._rows]))
         parts = np.split(rows, np.cumsum([99, 66, 33]), axis=1)
         seen = Seen.of(parts[0].reshape(-1, 33, 3), parts[1].reshape(-1, 33, 2), parts[2], size, parts[3])
         seen.bones[:] = _longest(np.array(self._bones))
@@ -229,7 +229,7 @@ def sight(
         t, landmarks, image, score, size: As in a pose track, without gaps.
     """
     grid = np.arange(float(t[0]), float(t[-1]) + 1e-9, 1.0 / RATE_HZ)
-    world, picture, visible = (_at(grid, t, values) for values in (landmarks, image, score))
+    world, picture, visible = (interpolated(grid, t, values) for values in (landmarks, image, score))
     slow = gaussian_filter1d(_to_average(world, picture, size), SLOW_S * RATE_HZ, axis=0, mode="nearest")
     return grid, Seen.of(world, picture, visible, size, slow)
 
@@ -285,9 +285,3 @@ def _longest(lengths: FloatArray) -> FloatArray:
     drawn = np.quantile(lengths[:, :, 0], DRAWN_QUANTILE, axis=(0, 2))
     solid = np.quantile(lengths[:, :, 1], SOLID_QUANTILE, axis=(0, 2))
     return np.maximum((UPPER_LENGTH, FORE_LENGTH) * np.maximum(drawn, solid), LEAST_LENGTH * drawn)
-
-
-def _at(times: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
-    """Return values (T, ...) at other times, linear between rows, constant beyond them."""
-    flat = values.reshape(len(t), -1)
-    return np.stack([np.interp(times, t, column) for column in flat.T], axis=1).reshape(len(times), *values.shape[1:])

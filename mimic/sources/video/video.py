@@ -22,7 +22,7 @@ from mimic.sources.video.people import People
 from mimic.sources.video.pose_models.blazepose import BlazePose, Everybody
 from mimic.sources.video.pose_models.pose_model import BUNDLE, pose_model
 from mimic.sources.video.screening import MOST_JUMPS, SHORTEST, is_invented, jump_share, person_rows, posture
-from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
+from mimic.sources.video.shots import clothes_colour, describe, find_changes, is_black
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ class _Detections:
 
     track: PoseTrack
     change: FloatArray
-    light: FloatArray
+    black: BoolArray
     clothes: FloatArray
     said: list[str]
     """What is to be said about the file and about several people in view."""
@@ -82,7 +82,7 @@ def track_video(
     raw = found.track
     person = person_rows(raw.score, settings.min_visibility)
     _check_person(raw, person, path.name, settings)
-    changes = find_changes(raw, person, found.clothes, found.change, found.light)
+    changes = find_changes(raw, person, found.clothes, found.change, found.black)
     other = np.zeros(len(raw.t), dtype=np.bool_)
     for row in (change.row for change in changes if change.other_person and settings.person is not None):
         lost = np.flatnonzero(np.isnan(raw.landmarks[row:, 0, 0]))  # then whoever is found was recognised
@@ -125,7 +125,7 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     """Run the detector over every frame."""
     stamps = []
     change = []
-    light = []
+    black = []
     clothes = []
     rows = []
     no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
@@ -144,7 +144,7 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
             landmarks, image, score = detect(shown) or no_person
             height, width = frame.rgb.shape[:2]
             rows.append((landmarks, people.in_picture(image, width, height), score))
-            light.append(lightness(frame.rgb))
+            black.append(is_black(frame.rgb))
             clothes.append(clothes_colour(frame.rgb, rows[-1][1]))
             people.saw(rows[-1][1], clothes[-1])
             if progress is not None:
@@ -157,7 +157,7 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     )
     said = [*_file_warnings(video, np.array(stamps), repaired), *people.sentences()]
     track = _without(track, ~people.followed_rows())
-    return _Detections(track, np.array(change), np.array(light), np.array(clothes), said)
+    return _Detections(track, np.array(change), np.array(black), np.array(clothes), said)
 
 
 def _without(track: PoseTrack, rows: BoolArray) -> PoseTrack:
@@ -218,15 +218,15 @@ def doubts(track: PoseTrack, settings: PoseSettings) -> Iterator[str]:
     swapped = track.swapped
     person = float(person_rows(track.score, settings.min_visibility).mean())
     jumps = jump_share(track)
+    swaps = int(swapped.sum())
     if person < MIN_PERSON_SHARE:
         yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
-    still = f"a wrist or the person still jumps in {jumps:.0%} of the frames"
-    if swapped.mean() > MAX_SWAP_SHARE:
+    if swaps > MAX_SWAP_SHARE * len(swapped):
         yield (
-            f"the detector swapped left and right in {swapped.sum()} of {len(swapped)} frames; this was corrected, but "
-            f"{still if jumps > MOST_JUMPS else 'errors may remain'}: film closer and in good light"
+            f"the detector swapped left and right in {swaps} of {len(swapped)} frames; this was corrected, but errors "
+            "may remain: film closer and in good light"
         )
-    elif jumps > MOST_JUMPS:
+    if jumps > MOST_JUMPS:
         yield (
             f"the person or a wrist jumps in {jumps:.0%} of the frames, as where arms are hard to see or several "
             "people are; use a clip of one person from the front or a three-quarter view"
