@@ -49,7 +49,7 @@ class MocapSettings:
     layout: str | None = None
     """Layout of points without names, such as coco17 or smpl24; default: from their number."""
     up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = "auto"
-    """Axis that points up; auto: from the file header, else the torso direction."""
+    """Axis that points up; auto: that along the torso."""
     fps: float = 0.0
     """Frame rate [Hz]; 0 uses the times in the file."""
 

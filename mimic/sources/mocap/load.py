@@ -168,18 +168,11 @@ def _named(points: Points, scheme: Columns) -> Points:
 
 
 def _up(named: Points, asked: str, path: Path) -> tuple[str, tuple[str, ...]]:
-    """Return the axis that points up, and what the user should know about that.
-
-    The user is believed, then the body, then the file.
-    """
+    """Return the axis that points up, asked for or along the trunk, and what the user should know about that."""
     trunk = _trunk(named)
-    header = named.up
-    if asked == "auto" and header is not None and (trunk is None or np.dot(trunk, _UP[header]) > 1 - CLEARLY):
-        return header, ()
     if asked != "auto":
-        if trunk is None or np.dot(trunk, _UP[asked]) > 0.0:
-            return asked, ()
-        return asked, (f"with {asked} up the person of {path.name} is upside down most of the time",)
+        down = trunk is not None and bool(np.dot(trunk, _UP[asked]) < 0.0)
+        return asked, (f"with {asked} up the person of {path.name} is upside down most of the time",) * down
     if trunk is None:
         raise SourceError(
             f"{path.name} has neither hips nor feet, so the upward axis is unknown; give it as [mocap] up in --config"
@@ -190,9 +183,7 @@ def _up(named: Points, asked: str, path: Path) -> tuple[str, tuple[str, ...]]:
             f"the torso in {path.name} points along ({', '.join(f'{v:.2f}' for v in trunk)}), along no single axis; "
             "give the upward axis as [mocap] up in --config"
         )
-    up = ("" if trunk[axis] > 0 else "-") + "xyz"[axis]
-    said = f"{path.name} says that {header} is up, but the trunk points along {up}; the trunk is believed"
-    return up, (said,) * (header is not None)
+    return ("" if trunk[axis] > 0 else "-") + "xyz"[axis], ()
 
 
 def _trunk(named: Points) -> FloatArray | None:

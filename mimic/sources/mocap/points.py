@@ -32,8 +32,6 @@ class Points:
     """Name of each point."""
     unit: str | None = None
     """Unit of the positions, None where the file names none."""
-    up: str | None = None
-    """Axis that points up, such as ``y`` or ``-y``, None where the file names none."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
