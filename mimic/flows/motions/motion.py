@@ -169,7 +169,9 @@ def load_motion(
     ending = path.suffix.lower()
     reader = next((kind for kind in SOURCES if ending in kind.endings), None)
     if reader is None and ending in NOT_READ:
-        raise SourceError(f"{path.name} is {NOT_READ[ending]}. See {manual('motion-formats.md')}")
+        raise SourceError(
+            f"{path.name} is not read; export its motion as {NOT_READ[ending]}. See {manual('motion-formats.md')}"
+        )
     if (reader or VIDEO) is not VIDEO:
         refuse_second_video(loading.settings, f"{path.name} is no video")
     return (reader or VIDEO).read(path, loading)

@@ -15,9 +15,6 @@ from mimic.config.pose import MocapSettings
 from mimic.errors import MissingExtra, SourceError
 from mimic.sources.mocap.points import UNITS, Points, clock
 
-LARGEST = 1_000_000_000
-"""Largest file [bytes]."""
-
 
 def read_c3d(path: Path, settings: MocapSettings) -> Points:
     """Return the markers of a C3D file; what was not seen is NaN.
@@ -32,8 +29,8 @@ def read_c3d(path: Path, settings: MocapSettings) -> Points:
         raise MissingExtra(str(missing.name), "c3d") from None
     with open(path, "rb") as file:
         start = file.read(512)
-    if len(start) < 512 or start[1] != 0x50 or path.stat().st_size > LARGEST:
-        raise SourceError(f"{path.name} is not a C3D file (its second byte must be 50 hex, its size below 1 GB)")
+    if len(start) < 512 or start[1] != 0x50:
+        raise SourceError(f"{path.name} is not a C3D file (its second byte must be 50 hex)")
     try:
         data = ezc3d.c3d(str(path))
         point = data["parameters"]["POINT"]

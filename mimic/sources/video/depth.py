@@ -173,16 +173,6 @@ class Seen:
     bones: FloatArray
     """Lengths of upper arm and forearm (T, 2) [m]."""
 
-    @classmethod
-    def of(
-        cls, world: FloatArray, image: FloatArray, score: FloatArray, size: tuple[int, int], slow: FloatArray
-    ) -> Seen:
-        """Return it for rows of a pose track, with slow averages (T, 5) and the bones of the whole."""
-        scale = slow[:, 0] / slow[:, 1]
-        flat = _metres(image, size, scale)
-        bones = np.tile(_longest(_lengths(world, flat)), (len(world), 1))
-        return cls(world, flat, score, scale, slow[:, 2:], bones)
-
     def features(self) -> FloatArray:
         """Return what the network takes of each arm (2, T, FEATURES), the right one in the mirror."""
         return np.stack([self._of_arm(side) for side in range(2)])
@@ -229,7 +219,10 @@ def sight(
     grid = np.arange(float(t[0]), float(t[-1]) + 1e-9, 1.0 / RATE_HZ) if grid is None else grid
     world, picture, visible = (interpolated(grid, t, values) for values in (landmarks, image, score))
     slow = gaussian_filter1d(_to_average(world, picture, size), SLOW_S * RATE_HZ, axis=0, mode="nearest")
-    return grid, Seen.of(world, picture, visible, size, slow)
+    scale = slow[:, 0] / slow[:, 1]
+    flat = _metres(picture, size, scale)
+    bones = np.tile(_longest(_lengths(world, flat)), (len(world), 1))
+    return grid, Seen(world, flat, visible, scale, slow[:, 2:], bones)
 
 
 def framed(features: FloatArray) -> FloatArray:
