@@ -12,6 +12,8 @@ def standing(rows: int = 100) -> PoseTrack:
     """A person of 300 px to the metre who stands still."""
     landmarks = np.zeros((rows, 33, 3))
     places = {"shoulder": (0.18, -0.5, 0), "wrist": (0.3, 0, 0), "hip": (0.1, 0, 0), "knee": (0.1, 0.4, 0)}
+    places |= {"ear": (0.08, -0.7, 0), "eye": (0.03, -0.72, 0)}
+    landmarks[:, [LANDMARKS.index("mouth_left"), LANDMARKS.index("mouth_right")]] = (0, -0.63, 0)
     for name, place in places.items():
         landmarks[:, LANDMARKS.index(f"left_{name}")] = place
         landmarks[:, LANDMARKS.index(f"right_{name}")] = np.array(place) * (-1, 1, 1)
