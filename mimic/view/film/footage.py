@@ -10,7 +10,6 @@ from typing import cast
 
 import numpy as np
 
-from mimic.records import FloatArray
 from mimic.sources.video.decoding import open_video
 
 Progress = Callable[[int, int | None], None]
@@ -24,20 +23,8 @@ quality 40: 39.0 dB).
 """
 
 
-def frame_stamps(path: Path) -> FloatArray:
-    """Return the time stamps of the frames in the file (F,) [s].
-
-    Raises:
-        SourceError: If no frame can be decoded.
-    """
-    with open_video(path) as video:
-        return np.array([frame.stamp_ms / 1e3 for frame in video])
-
-
-def read_frames(
-    path: Path, *, width: int | None = None, height: int | None = None
-) -> Iterator[tuple[float, np.ndarray]]:
-    """Yield the time stamp [s] and the upright picture (H, W, 3), RGB, of each frame.
+def read_frames(path: Path, *, width: int | None = None, height: int | None = None) -> Iterator[np.ndarray]:
+    """Yield the upright picture (H, W, 3), RGB, of each frame: those that a pose track of the video has rows of.
 
     Args:
         width: Maximum width; narrower pictures keep their size.
@@ -55,7 +42,7 @@ def read_frames(
             size = tuple(max(2, 2 * round(scale * side / 2)) for side in rgb.shape[1::-1])
             if size != rgb.shape[1::-1]:
                 rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-            yield frame.stamp_ms / 1e3, rgb
+            yield rgb
 
 
 def encode_av1(frames: Iterable[np.ndarray], path: Path) -> None:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mimic.records import FloatArray
 from mimic.view.film.footage import Progress, encode_av1, read_frames
 
 VIDEO_WIDTH = 640
@@ -28,8 +27,6 @@ class Clip:
 
     path: Path
     """AV1 in MP4, one frame per decoded frame of the source."""
-    stamps: FloatArray
-    """Time stamps of the frames in the source (F,) [s]."""
     size: tuple[int, int]
     """Width and height of the upright picture [px]."""
 
@@ -46,7 +43,7 @@ class Footage(AbstractContextManager["Footage"]):
 
         self.video = video
         self._folder = tempfile.TemporaryDirectory(prefix="mimic-footage-")
-        self._stamps: list[float] = []
+        self._done = 0
         self._size = (0, 0)
         self._error: Exception | None = None
         self._cancelled = threading.Event()
@@ -70,10 +67,10 @@ class Footage(AbstractContextManager["Footage"]):
         while self._thread.is_alive():
             self._thread.join(_REPORT_EVERY)
             if progress is not None:
-                progress(len(self._stamps), total)
+                progress(self._done, total)
         if self._error is not None:
             raise self._error
-        return Clip(path=self._path, stamps=np.array(self._stamps), size=self._size)
+        return Clip(path=self._path, size=self._size)
 
     def close(self) -> None:
         """Stop encoding and remove the file."""
@@ -91,10 +88,10 @@ class Footage(AbstractContextManager["Footage"]):
             self._error = error
 
     def _pictures(self) -> Iterator[np.ndarray]:
-        for stamp, rgb in read_frames(self.video, width=VIDEO_WIDTH):
+        for rgb in read_frames(self.video, width=VIDEO_WIDTH):
             if self._cancelled.is_set():
                 return
-            self._stamps.append(stamp)
+            self._done += 1
             self._size = rgb.shape[1], rgb.shape[0]
             yield rgb
 
