@@ -418,9 +418,9 @@ def _of_pose(pose: PoseTrack, loading: _Loading, *, video: Path | None = None) -
 
     motion = _of_wrists(wrist_track(pose, loading.settings.retarget), loading)
     assert motion.targets is not None
-    figures = dict(pose_report(pose, loading.settings.retarget))
+    figures = pose_report(pose, loading.settings.retarget)
     if not any(pose.size):  # no camera
-        figures = {name: value for name, value in figures.items() if name not in ("camera_axis", "unseen")}
+        del figures["unseen"]
     targets = replace(motion.targets, report={**motion.targets.report, "pose": figures})
     slow_down = targets.report["slow_down"]
     if slow_down != 1.0:
