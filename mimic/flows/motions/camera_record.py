@@ -85,12 +85,11 @@ class CameraRecord:
         from mimic.sources.video.video import doubts
 
         rows = self.seen[-len(track.t) :]
-        pose = self.settings.pose
-        person = person_rows(track.score, pose.min_visibility)
+        person = person_rows(track.score, self.settings.pose.min_visibility)
         clothes = np.array([row.clothes for row in rows])
         nothing = np.zeros(len(rows))  # a camera has no cuts and no fades
         changes = find_changes(track, person, clothes, nothing, nothing > 0.0)
-        return (*rows[-1].people, *describe(changes, track.t), *doubts(track, pose))
+        return (*rows[-1].people, *describe(changes, track.t), *doubts(track))
 
     def report(self, pose: PoseTrack, reporter: Reporter) -> None:
         """Say what a run of a video says: doubts, an arm that is not seen, where the camera is."""

@@ -53,17 +53,17 @@ def _programs() -> Iterator[tuple[str, list[str]]]:
     uv = os.environ.get("UV") or shutil.which("uv") or shutil.which("uv", path=str(Path(sys.executable).parent))
     found = {}
     if importlib.util.find_spec("pip") is not None:
-        found["pip"] = [
-            *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:"),
-            *("--disable-pip-version-check", "--no-input", "--no-cache-dir", "--implementation", "cp"),
-            *("--python-version", _PYTHON, "--platform", _PIP_PLATFORM, "--dest", "wheel"),
-        ]
+        options = (
+            "--quiet --no-deps --only-binary=:all: --disable-pip-version-check --no-input --no-cache-dir "
+            f"--implementation cp --python-version {_PYTHON} --platform {_PIP_PLATFORM} --dest wheel"
+        )
+        found["pip"] = [sys.executable, "-m", "pip", "download", *options.split()]
     if uv is not None:
-        found["uv"] = [
-            *(uv, "pip", "install", "--quiet", "--no-deps", "--only-binary", ":all:", "--no-cache"),
-            *("--python", sys.executable, "--python-version", _PYTHON),
-            *("--python-platform", _UV_PLATFORM, "--target", "wheel"),
-        ]
+        options = (
+            "--quiet --no-deps --only-binary :all: --no-cache "
+            f"--python-version {_PYTHON} --python-platform {_UV_PLATFORM} --target wheel"
+        )
+        found["uv"] = [uv, "pip", "install", "--python", sys.executable, *options.split()]
     yield from sorted(found.items(), reverse="UV" in os.environ)
 
 

@@ -31,8 +31,6 @@ ALGORITHM = 16
 
 MAX_SWAP_SHARE = 0.05
 """A larger share of frames with swapped left and right gives a warning."""
-MIN_PERSON_SHARE = 0.8
-"""A smaller share of frames with a person gives a warning."""
 
 LACKING = 0.5
 """Time at the end of a file without a picture that is reported [s]."""
@@ -100,7 +98,7 @@ def track_video(
         swapped=swapped,
         shot=np.searchsorted(shots, np.arange(len(raw.t)), "right").astype(np.float64),
     )
-    warnings = (*found.said, *describe(changes, raw.t), *doubts(track, settings))
+    warnings = (*found.said, *describe(changes, raw.t), *doubts(track))
     for warning in warnings:
         log.info("%s: %s", path.name, warning)
     landmarks, image = (smooth(raw.t, column, shots, settings.cutoff_hz) for column in (landmarks, image))
@@ -213,14 +211,11 @@ def _file_warnings(video: Video, stamps_ms: FloatArray, repaired: int) -> Iterat
         yield f"{repaired} of {len(stamps_ms)} time stamps do not increase; these frames got interpolated times"
 
 
-def doubts(track: PoseTrack, settings: PoseSettings) -> Iterator[str]:
-    """Yield what makes a clip or a camera doubtful: a person seen seldom, jumps, exchanged sides, posture."""
+def doubts(track: PoseTrack) -> Iterator[str]:
+    """Yield what makes a clip or a camera doubtful: jumps, exchanged sides, posture."""
     swapped = track.swapped
-    person = float(person_rows(track.score, settings.min_visibility).mean())
     jumps = jump_share(track)
     swaps = int(swapped.sum())
-    if person < MIN_PERSON_SHARE:
-        yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
     if swaps > MAX_SWAP_SHARE * len(swapped):
         yield (
             f"the detector swapped left and right in {swaps} of {len(swapped)} frames; this was corrected, but errors "
