@@ -42,14 +42,14 @@ def test_closing_early_ends_the_thread(video: Path, monkeypatch: pytest.MonkeyPa
         while True:
             decoded.set()
             go_on.wait(10.0)
-            yield 0.0, np.zeros((64, 96, 3), dtype=np.uint8)
+            yield np.zeros((64, 96, 3), dtype=np.uint8)
 
     monkeypatch.setattr("mimic.view.scene.footage.read_frames", endless)
     footage = Footage(video)
     decoded.wait(10.0)
     go_on.set()
     footage.close()
-    assert not footage._thread.is_alive()
+    assert footage._encoded.done()
 
 
 def test_a_scene_is_the_same_with_footage_that_was_started_before(
