@@ -24,10 +24,6 @@ class PoseSettings:
     """Cut-off of the zero-phase Butterworth filter over the landmarks [Hz]."""
     depth: bool = True
     """Estimate the depth of the arms with a network; otherwise use the detector's."""
-    pose_model: Path | None = None
-    """Another BlazePose model (.task), or the wheel of mediapipe 0.10.14, which contains the default model. Default:
-    downloaded on first use."""
-
     also: Path | None = None
     """A second video of the same person at the same time, from another side: its picture shows the depth that the first
     one hardly sees. Both start within 2 s."""

@@ -65,7 +65,7 @@ def follow_camera(
     from mimic.sources.video.camera import check_camera, open_camera
 
     refuse_second_video(settings, "a camera is followed by itself")
-    fetch_pose_model(settings.pose, reporting(reporter), partial(check_camera, camera))
+    fetch_pose_model(reporting(reporter), partial(check_camera, camera))
     record = CameraRecord(settings)
     retarget = LiveRetarget(Reach(description), settings.retarget, live)
     with open_camera(camera, settings.pose, live, previews=view is not None, low_priority=low_priority) as stream:

@@ -251,7 +251,7 @@ def track_video(
     if cached is not None and cached.is_file():
         reporter.note(f"pose         reused from an earlier run on the same video ({cached})")
         return store.load(cached, PoseTrack)
-    fetch_pose_model(settings, reporter, partial(check_video, path))
+    fetch_pose_model(reporter, partial(check_video, path))
     with reporter.progress("pose") as progress:
         found = track(path, settings, progress=progress)
     if cached is not None:
@@ -479,25 +479,24 @@ def _holds_playable_record(path: Path) -> bool:
         return False
 
 
-def fetch_pose_model(settings: PoseSettings, reporter: Reporter, check: Callable[[], None]) -> None:
+def fetch_pose_model(reporter: Reporter, check: Callable[[], None]) -> None:
     """Download the models of the pose estimator where they are not on this computer yet.
 
     Args:
-        settings: May name another model.
-        reporter: Receives progress.
+        reporter: Receives notes.
         check: Called before a download; raises a SourceError if there is no picture to use them on.
 
     Raises:
         SourceError: From ``check``.
-        AssetError: If that is not possible, or another model was given and is none.
+        AssetError: If that is not possible.
     """
     from mimic.sources.video.pose_models.pose_model import is_here, pose_model
 
-    if is_here(settings.pose_model):
+    if is_here():
         return
     check()
     reporter.note("pose model   not on this computer yet: downloading the package that carries it (once, 36 MB)")
-    reporter.note(f"pose model   kept in {pose_model(settings.pose_model)}")
+    reporter.note(f"pose model   kept in {pose_model()}")
 
 
 RECORDS = {kind.__name__: kind for kind in (CommandTrack, PoseTrack, TargetTrack, WristTrack)}

@@ -134,7 +134,7 @@ def open_camera(
         AssetError: If there is no model to detect with.
     """
     device = _is_device(camera)
-    pose = replace(pose, pose_model=pose_model(pose.pose_model))  # found once, and its errors are raised here
+    pose_model()  # its errors are raised here
     context = get_context("spawn")
     parent_end, child_end = context.Pipe()
     process = context.Process(
@@ -239,7 +239,7 @@ def _run_camera(
 
     latest: _Newest = Queue(1)
     depth = LiveDepth() if pose.depth else None
-    assert isinstance(pose.pose_model, Path)
+    model = pose_model()
     hint = "let one person stand before the camera"
     try:
         with ExitStack() as stack:
@@ -251,8 +251,8 @@ def _run_camera(
                 frame = next(video.frames)
                 first = frame.rgb
                 pictures = _play_file(chain([frame], video.frames), pipe)
-            detect = stack.enter_context(BlazePose(pose.pose_model))
-            everybody = stack.enter_context(Everybody(pose.pose_model))
+            detect = stack.enter_context(BlazePose(model))
+            everybody = stack.enter_context(Everybody(model))
             people = People(everybody, None, camera, hint)
             detect(people.show(0.0, first))  # warm-up: the first detection is slow
             pipe.send(True)

@@ -111,9 +111,9 @@ class LiveDepth:
         self._rows.append((t, landmarks, image, score))
         while t - self._rows[0][0] > PAST_S:
             self._rows.popleft()
-        past = [np.array(column) for column in zip(*self._rows, strict=True)]
+        times, world, picture, visible = (np.array(column) for column in zip(*self._rows, strict=True))
         grid = t - np.arange(round(PAST_S * RATE_HZ), -1, -1) / RATE_HZ
-        seen = sight(*past, size, grid)[1]
+        seen = sight(times, world, picture, visible, size, grid)[1]
         flat = _metres(image[None], size, seen.scale[-1:])
         self._bones.append(_lengths(landmarks[None], flat)[0])
         seen.bones[:] = _longest(np.array(self._bones))

@@ -139,7 +139,7 @@ def _lines(track: PoseTrack) -> _Lines:
 
 def _at(lines: _Lines, t: FloatArray, times: FloatArray) -> _Lines:
     """Return lines at other times; beyond the clip they are not seen."""
-    xyz, spread, valid = (interpolated(times, t, values) for values in (lines.xyz, lines.spread, lines.valid))
+    xyz, spread, valid = (interpolated(times, t, values) for values in (lines.xyz, lines.spread, lines.valid + 0.0))
     inside = (times >= t[0]) & (times <= t[-1])
     return _Lines(xyz, spread, (valid == 1.0) & inside[:, None] & np.isfinite(xyz).all(axis=-1))
 

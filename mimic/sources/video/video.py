@@ -112,10 +112,13 @@ def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
     It covers the content of the file (not its name), the settings, the model, and the versions of the detector and of
     this code.
     """
-    given = settings.pose_model
-    model = sha256_of(given) if given is not None and given.is_file() else BUNDLE
-    others = plain(replace(settings, pose_model=None, also=None))
-    parts = [sha256_of(path), others, model, f"mediapipe {version('mediapipe')}", ALGORITHM]
+    parts = [
+        sha256_of(path),
+        plain(replace(settings, also=None)),
+        BUNDLE,
+        f"mediapipe {version('mediapipe')}",
+        ALGORITHM,
+    ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
@@ -127,7 +130,7 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     clothes = []
     rows = []
     no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
-    model = pose_model(settings.pose_model)
+    model = pose_model()
     with open_video(path) as video, BlazePose(model) as detect, Everybody(model) as everybody:
         people = People(everybody, settings.person, path.name)
         if settings.person is not None:

@@ -45,29 +45,23 @@ ALIGNMENT = 16
 """TFLite aligns the weights in a model to this [bytes]."""
 
 
-def is_here(given: Path | None = None) -> bool:
+def is_here() -> bool:
     """Return whether `pose_model` needs no download."""
     folder = user_cache("models")
-    return given is not None or (folder / BUNDLE).is_file() or any(folder.glob(_WHEELS))
+    return (folder / BUNDLE).is_file() or any(folder.glob(_WHEELS))
 
 
-def pose_model(given: Path | None = None) -> Path:
+def pose_model() -> Path:
     """Return the bundle of the BlazePose models; at the first use it is made from the package that carries them.
 
-    Args:
-        given: A bundle (.task) of another BlazePose model, or mediapipe's wheel 0.10.14; by default the cached bundle,
-            or one that is made of a wheel that a person put beside it or that is downloaded.
+    It is the cached one, or is made of a wheel that a person put beside it or that is downloaded.
 
     Raises:
-        AssetError: If the file is neither, or the models are neither cached nor can be downloaded.
+        AssetError: If the models are neither cached nor can be downloaded, or the wheel is another one.
     """
     path = user_cache("models") / BUNDLE
-    if given is not None and not given.is_file():
-        raise AssetError(f"there is no pose model {given}; give a .task file or {WHEEL}")
-    if _names(given or path) >= set(MODELS):
-        return given or path
-    if given is not None:
-        return _bundled(given, path)
+    if _names(path) >= set(MODELS):
+        return path
     with _locked(path.parent):
         if _names(path) >= set(MODELS):  # another process has made it meanwhile
             return path
@@ -79,8 +73,7 @@ def pose_model(given: Path | None = None) -> Path:
         except RegistryError as reason:
             raise AssetError(
                 f"the BlazePose models are not on this computer and could not be downloaded ({reason}); get "
-                f"{WHEEL} from a package registry and put it into {path.parent}, or name a model with --pose-model "
-                "FILE"
+                f"{WHEEL} from a package registry and put it into {path.parent}"
             ) from None
 
 
@@ -93,7 +86,7 @@ def _locked(folder: Path) -> Iterator[None]:
     except OSError as reason:
         raise AssetError(
             f"the BlazePose models cannot be kept in {folder}: {reason.strerror}; set XDG_CACHE_HOME to a folder that "
-            "can be written, or name the models with --pose-model FILE"
+            "can be written"
         ) from None
     with lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -135,9 +128,7 @@ def _model(source: Path, member: str, digest: str) -> bytes:
             with zipfile.ZipFile(source) as archive:
                 content = archive.read(member)
     except (OSError, KeyError, zipfile.BadZipFile):
-        raise AssetError(
-            f"{source.name} holds no BlazePose model {member}; give a .task file of mediapipe, or {WHEEL}"
-        ) from None
+        raise AssetError(f"{source.name} holds no BlazePose model {member}; put {WHEEL} in its place") from None
     if hashlib.sha256(content).hexdigest() != digest:
-        raise AssetError(f"{member} in {source.name} is not that of mediapipe {RELEASE}; give {WHEEL}")
+        raise AssetError(f"{member} in {source.name} is not that of mediapipe {RELEASE}; put {WHEEL} in its place")
     return content
