@@ -41,8 +41,6 @@ def read_pickle(path: Path) -> Any:
         raise SourceError(
             f"{path.name} holds a Python object ({error}), which is not read; store plain arrays"
         ) from None
-    except (MemoryError, RecursionError):
-        raise SourceError(f"{path.name} is too large or too deeply nested to be read") from None
     except Exception as error:  # a broken pickle can fail in any way
         raise SourceError(
             f"{path.name} cannot be read as a pickle of arrays ({type(error).__name__}: {str(error)[:80]})"
