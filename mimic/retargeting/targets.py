@@ -165,7 +165,7 @@ def reachable_track(
         warnings: Warnings of the source.
     """
     closest = reach.closest_track(wanted)
-    p_BE = limited(closest, reach)[1]
+    p_BE = limited(closest, reach)
     rate_limited = np.linalg.norm(p_BE - closest.p_BE, axis=-1) > CLAMP_TOLERANCE
     return TargetTrack(
         t=t,
@@ -182,8 +182,8 @@ def reachable_track(
     )
 
 
-def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
-    """Return front joints (T, 6) [rad] and toes (T, 2, 3) [m] within reach and motor limits.
+def limited(closest: Closest, reach: Reach) -> FloatArray:
+    """Return toes (T, 2, 3) [m] within reach and motor limits.
 
     Joint positions stay within their bounds. If the legs come too close in a row, it moves to the closest point with
     clearance, and the motion is limited again. After MAX_ITERATIONS, clearance has priority over the speed limit.
@@ -203,7 +203,7 @@ def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
                 p_BE[row] = found.p_BE
         if np.array_equal(q, before):
             break
-    return q, p_BE
+    return p_BE
 
 
 def _report(
