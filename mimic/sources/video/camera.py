@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -71,13 +71,13 @@ class CameraFrame:
     """Whether the left and right of the detector were swapped."""
     detector_s: float
     """Time that the detector took [s]."""
-    depth_spread: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    depth_spread: FloatArray
     """Standard deviation of the depth of left and right wrist (2,) [m]; NaN if it was not estimated."""
-    clothes: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    clothes: FloatArray
     """Colour of the person's clothes (3,), L*a*b*; NaN where none are in the picture."""
-    people: tuple[str, ...] = ()
+    people: tuple[str, ...]
     """What is to be said about several people in view so far."""
-    jpeg: bytes | None = None
+    jpeg: bytes | None
     """Preview picture; None in most rows."""
 
 

@@ -71,7 +71,8 @@ def test_a_real_view_with_swapped_sides_agrees_with_triangulation(clip: Clip, tr
     assert np.nanmean(np.linalg.norm(places(pose, "left_wrist", "right_wrist") - from_hip, axis=-1)) < 0.200
     assert np.nanmean(np.linalg.norm(arms(pose) - from_shoulder, axis=-1)) < 0.200
     assert pose.swapped.sum() == 31
-    assert any("swapped left and right in 31 of 100" in w and "still jumps" in w for w in pose.warnings)
+    assert any("swapped left and right in 31 of 100" in w for w in pose.warnings)
+    assert any("a wrist jumps in" in w for w in pose.warnings)
     assert not any("cuts" in w for w in pose.warnings)
 
 
