@@ -1,6 +1,6 @@
 """How well the depth of the arms is known: clips with truth, with the detector's depth and the estimated one.
 
-    python -m lab.people.depth VIDEO [...] [VIEWS ...] [--pose-model FILE]
+    python -m lab.people.depth VIDEO [...] [VIEWS ...]
 
 Beside each VIDEO.mp4 lies VIDEO.npz with `t`, `names` and `joints` in camera axes (examples/videos, or what
 lab/people/depth_clips.py --video wrote). VIEWS is a folder of views of one real person by calibrated cameras: videos,
@@ -153,9 +153,8 @@ def two_views(views: dict[str, tuple[PoseTrack, PoseTrack]], reach: Reach) -> No
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("clips", nargs="+", type=Path)
-    parser.add_argument("--pose-model", type=Path, default=None)
     options = parser.parse_args()
-    settings = PoseSettings(depth=False, pose_model=options.pose_model)
+    settings = PoseSettings(depth=False)
     reach = Reach(load_description("cyberdog2"))
     print("| clip | true heading, off | detector alone: r, gain, RMSE, targets apart | with depth |\n|---|---|---|---|")
     figures, errors, views = {"people": [], "rendered": []}, {"people": [], "rendered": []}, {}

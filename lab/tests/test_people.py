@@ -4,12 +4,24 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 VIDEOS = Path(__file__).parents[2] / "examples" / "videos"
+
+
+def test_what_goes_before_the_landmark_model_is_made_again() -> None:
+    pytest.importorskip("mediapipe")
+    from lab.people.pose_head import MEAN, STD, with_normalisation
+    from mimic.sources.video.pose_models.pose_model import LANDMARKS, pose_model
+
+    head = (VIDEOS.parents[1] / "assets" / "pose" / "landmarks.head").read_bytes()
+    with zipfile.ZipFile(pose_model()) as archive:
+        whole = archive.read(LANDMARKS)
+    assert with_normalisation(whole[len(head) :], MEAN, STD) == whole
 
 
 @pytest.mark.parametrize("name", ["boxing", "ballet", "waving"])

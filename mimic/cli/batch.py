@@ -24,7 +24,7 @@ def batch(
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
     run: Annotated[o.Run, o.only("run", "policy", "seed", "early")] = None,
     robot: Annotated[o.Effects, o.only("robot", "robot_model", "effects")] = None,
-    pose: Annotated[o.Pose, o.only("pose", "person", "pose_model")] = None,
+    pose: Annotated[o.Pose, o.only("pose", "person")] = None,
     stored: Annotated[o.Stored, o.only("stored")] = None,
 ) -> int:
     """Play every video and motion file of a folder in simulation, into one table; go on where it was stopped.

@@ -33,7 +33,7 @@ def play(
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
     run: Annotated[o.Run, o.only("run", "policy")] = None,
     model: Annotated[o.Effects, o.only("model", "robot_model", "effects")] = None,
-    pose: Annotated[o.Pose, o.only("pose", "person", "pose_model", "also")] = None,
+    pose: Annotated[o.Pose, o.only("pose", "person", "also")] = None,
     stored: Annotated[o.Stored, o.only("stored")] = None,
     language: Annotated[o.Language, o.only("language")] = None,
     live: Annotated[o.Live, o.only("live")] = None,

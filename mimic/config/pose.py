@@ -18,22 +18,12 @@ class PoseSettings:
     min_person_share: float = 0.3
     """Minimum share of frames that show both shoulders and a wrist: 0.60-1.00 on real clips, 0.02-0.11 on clips without
     a person."""
-    min_duration: float = 0.1
-    """Minimum length of a clip [s]."""
-    max_jump: float = 0.25
-    """Largest plausible motion of a hip or wrist between two frames [m]."""
-    max_jump_share: float = 0.05
-    """Largest share of frames with such a jump, before a warning."""
     person: Literal["left", "right", "largest"] | int | None = None
     """Person to follow if a video shows several: position in the first frame, or number from the left."""
     cutoff_hz: float = 6.0
     """Cut-off of the zero-phase Butterworth filter over the landmarks [Hz]."""
     depth: bool = True
     """Estimate the depth of the arms with a network; otherwise use the detector's."""
-    pose_model: Path | None = None
-    """Another BlazePose model (.task), or the wheel of mediapipe 0.10.14, which contains the default model. Default:
-    downloaded on first use."""
-
     also: Path | None = None
     """A second video of the same person at the same time, from another side: its picture shows the depth that the first
     one hardly sees. Both start within 2 s."""
@@ -55,7 +45,7 @@ class MocapSettings:
     layout: str | None = None
     """Layout of points without names, such as coco17 or smpl24; default: from their number."""
     up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = "auto"
-    """Axis that points up; auto: from the file header, else the torso direction."""
+    """Axis that points up; auto: that along the torso."""
     fps: float = 0.0
     """Frame rate [Hz]; 0 uses the times in the file."""
 

@@ -239,5 +239,5 @@ def save_run(
         from mimic.view.film.side_by_side import save_video
 
         with reporter.progress("film") as progress:
-            save_video(film, **shown, stamps=None if footage is None else footage.clip().stamps, progress=progress)
+            save_video(film, **shown, progress=progress)
     return SavedRun(run=run, folder=folder, metrics=metrics, film=film)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mimic.config.retarget import SLOWEST, RetargetSettings
 from mimic.errors import SourceError
-from mimic.records import SIDES, BoolArray, FloatArray, TargetTrack, WristTrack
+from mimic.records import BoolArray, FloatArray, TargetTrack, WristTrack
 from mimic.retargeting.limits import limit_track
 from mimic.retargeting.sampling import between, fill_gaps, target_times, without_glimpses
 from mimic.retargeting.trunk import trunk_goals
@@ -165,7 +165,7 @@ def reachable_track(
         warnings: Warnings of the source.
     """
     closest = reach.closest_track(wanted)
-    q, p_BE = limited(closest, reach)
+    p_BE = limited(closest, reach)
     rate_limited = np.linalg.norm(p_BE - closest.p_BE, axis=-1) > CLAMP_TOLERANCE
     return TargetTrack(
         t=t,
@@ -177,13 +177,13 @@ def reachable_track(
         wanted=wanted,
         within_reach=closest.p_BE,
         robot=reach.description.name,
-        report=_report(times, q, closest.moved, rate_limited, valid, reach, settings),
+        report=_report(times, closest.moved, rate_limited, valid, reach.description.dt, settings),
         warnings=warnings,
     )
 
 
-def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
-    """Return front joints (T, 6) [rad] and toes (T, 2, 3) [m] within reach and motor limits.
+def limited(closest: Closest, reach: Reach) -> FloatArray:
+    """Return toes (T, 2, 3) [m] within reach and motor limits.
 
     Joint positions stay within their bounds. If the legs come too close in a row, it moves to the closest point with
     clearance, and the motion is limited again. After MAX_ITERATIONS, clearance has priority over the speed limit.
@@ -203,40 +203,28 @@ def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
                 p_BE[row] = found.p_BE
         if np.array_equal(q, before):
             break
-    return q, p_BE
+    return p_BE
 
 
 def _report(
     times: list[FloatArray],
-    q: FloatArray,
     moved: FloatArray,
     rate_limited: BoolArray,
     valid: BoolArray,
-    reach: Reach,
+    dt: float,
     settings: RetargetSettings,
 ) -> dict[str, Any]:
     """Return the statistics of retargeting as plain data; shares are over the targets of both sides."""
-    dt = reach.description.dt
-    rows = [np.minimum(np.rint(own / dt).astype(int), len(q) - 1) for own in times]
+    rows = [np.minimum(np.rint(own / dt).astype(int), len(moved) - 1) for own in times]
     moved_at_targets = np.concatenate([moved[own, side] for side, own in enumerate(rows)])
     limited_at_targets = np.concatenate([rate_limited[own, side] for side, own in enumerate(rows)])
-    clamped = moved_at_targets > CLAMP_TOLERANCE
-    acceleration = np.abs(np.diff(q, 2, axis=0)) / (dt * dt * reach.acceleration_max)
     return {
         "targets": len(times[0]),
         "rate_s": settings.rate,
-        "scale_m": [settings.scale * value for value in reach.description.workspace.arm_scale.tolist()],
         "mirror": settings.mirror,
-        "clamped_share": float(np.mean(clamped)),
-        "clamped_share_by_side": {
-            side: float(np.mean(moved[own, i] > CLAMP_TOLERANCE))
-            for i, (side, own) in enumerate(zip(SIDES, rows, strict=True))
-        },
+        "clamped_share": float(np.mean(moved_at_targets > CLAMP_TOLERANCE)),
         "moved_mean_cm": 100.0 * float(np.mean(moved_at_targets)),
         "moved_max_cm": 100.0 * float(np.max(moved_at_targets)),
         "limited_share": float(np.mean(limited_at_targets)),
         "filled_share": float(np.mean(~valid)),
-        "joint_speed_max": float(np.max(np.abs(np.diff(q, axis=0)), initial=0.0) / dt),
-        "joint_speed_limit": float(reach.speed_max.max()),
-        "acceleration_of_limit": float(np.max(acceleration, initial=0.0)),
     }

@@ -10,7 +10,6 @@ The mapping of arms to legs (mirroring) follows in `mimic.retargeting.targets`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -172,27 +171,16 @@ def depth_note(axis: tuple[float, float, float], spread: FloatArray | None = Non
     )
 
 
-def pose_report(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Mapping[str, Any]:
+def pose_report(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> dict[str, Any]:
     """Return the statistics of a pose for the run folder, as plain data."""
-    axis = camera_axis(pose, settings)
     seen = _arm_visible(pose)
     spread = pose.depth_spread[seen]
     return {
         "frames": len(pose.t),
         "frames_with_person": int(seen.any(axis=1).sum()),
-        "arm_seen_share": {side: float(seen[:, i].mean()) for i, side in enumerate(SIDES)},
         "frames_exchanged": int(pose.swapped.sum()),
-        "heading_deg": float(np.degrees(np.median(torso_heading(pose, settings)))),
-        "camera_axis": list(axis),
-        "depth_spread_cm": {side: _mean_spread(pose.depth_spread[:, i][seen[:, i]]) for i, side in enumerate(SIDES)},
-        "unseen": depth_note(axis, spread[np.isfinite(spread)]),
+        "unseen": depth_note(camera_axis(pose, settings), spread[np.isfinite(spread)]),
     }
-
-
-def _mean_spread(spread: FloatArray) -> float | None:
-    """Return the root mean square of the known standard deviations (N,) [m] in cm, None if none is known."""
-    known = spread[np.isfinite(spread)]
-    return 100.0 * float(np.sqrt(np.mean(known**2))) if len(known) else None
 
 
 def _camera_from_torso(heading: FloatArray | float) -> FloatArray:

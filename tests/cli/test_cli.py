@@ -217,7 +217,7 @@ BAD = [
     ("text.pkl --sim", text_file("text.pkl"), "text.pkl cannot be read as a pickle of arrays"),
     ("text.pt --sim", text_file("text.pt"), "text.pt cannot be read as a pickle of arrays"),
     ("text.FBX --sim", text_file("text.FBX"), "export its motion as BVH"),
-    ("text.mvnx --sim", text_file("text.mvnx"), "an Xsens MVN recording, which is not read"),
+    ("text.mvnx --sim", text_file("text.mvnx"), "is not read; export its motion as BVH or C3D"),
     ("retarget text.BVH -o a.parquet --up north", text_file("text.BVH"), "north"),
     ("retarget commands.parquet -o a.parquet", commands, "commands.parquet holds commands"),
     ("folder --sim", folder, "folder is a folder; expected a file"),

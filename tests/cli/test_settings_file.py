@@ -68,7 +68,7 @@ def test_without_a_file_nothing_of_an_earlier_one_counts(asked):
         ("[retarget]\nslow_down = 'much'", "slow_down is 'much'; expected a number or \"auto\""),
         ("[play]\nseed = true", "[play] seed is True; expected a whole number"),
         ("[camera]\ncamera_size = [640]", "camera_size is [640]; expected a list of 2, each a whole number"),
-        ("[pose]\npose_model = 3", "pose_model is 3; expected a file name in quotes"),
+        ("[pose]\nalso = 3", "also is 3; expected a file name in quotes"),
     ],
 )
 def test_a_bad_file_is_one_line_with_file_key_and_what_is_expected(text, said, asked, capsys):

@@ -43,7 +43,6 @@ NOT_RUN = {
     r"^mimic log replay second.parquet --effects calibration": "takes a calibration; another replay runs",
     r"^mimic view": "opens a window",
     r"^mimic export": "needs the folder of a run; tests/flows/test_export.py makes one",
-    r"--pose-model": "needs a file of the reader; tests/sources/video/pose_models/test_pose_model.py makes one",
     r"^mimic demo": "tracks a whole clip; the first command of the README does the same",
     r"^python (-m lab\.|assets/)": "takes minutes, or writes into the repository",
     r"OPTION|FOLDER|\[|…": "a form, not a command",

@@ -61,7 +61,6 @@ def test_motors_can_follow():
         q = REACH.closest_track(targets.p_BE).q
         assert np.all(np.abs(np.diff(q, axis=0)) / 0.02 <= REACH.speed_max * 1.01)
         assert np.all(np.abs(np.diff(q, 2, axis=0)) / 0.02**2 <= REACH.acceleration_max * 1.01)
-        assert targets.report["joint_speed_max"] <= REACH.speed_max.max() * 1.01
 
 
 @pytest.mark.parametrize("rate", [0.05, 0.1, 0.3, 1.0])
@@ -151,7 +150,8 @@ def test_slowing_down_stretches_time_and_nothing_else():
     assert slow.report["slow_down"] == 2.0
     half = np.stack([np.interp(2.0 * plain.t, slow.t, axis) for axis in slow.p_BE[:, 0].T], axis=-1)
     assert np.linalg.norm(half - plain.p_BE[:, 0], axis=-1).mean() < 0.01
-    assert slow.report["joint_speed_max"] < 0.7 * plain.report["joint_speed_max"]
+    fastest = [np.abs(np.diff(targets.p_BE, axis=0)).max() for targets in (slow, plain)]
+    assert fastest[0] < 0.7 * fastest[1]
 
 
 def test_a_motion_that_is_too_fast_says_so_and_is_slowed_down_no_more_than_needed():

@@ -213,11 +213,9 @@ def test_the_note_says_how_well_depth_is_known_where_it_was_estimated():
     points, t = person(10)
     spread = np.where(np.arange(90)[:, None] < 45, 0.05, 0.15) * np.ones(2)
     report = pose_report(track(points, t, depth_spread=spread))
-    assert report["depth_spread_cm"]["left"] == pytest.approx(100 * np.sqrt((0.05**2 + 0.15**2) / 2))
     assert "±11 cm" in report["unseen"]
     assert "50% of it is doubtful" in report["unseen"]
     without = pose_report(track(points, t))
-    assert without["depth_spread_cm"] == {"left": None, "right": None}
     assert "It sees only" in without["unseen"]
 
 
@@ -245,9 +243,7 @@ def test_the_report_counts_frames_and_arms():
     report = pose_report(track(points, t, valid=valid, swapped=np.arange(90) < 3))
     assert report["frames"] == 90
     assert report["frames_with_person"] == 81
-    assert report["arm_seen_share"] == {"left": pytest.approx(0.9), "right": pytest.approx(0.5)}
     assert report["frames_exchanged"] == 3
-    assert report["heading_deg"] == pytest.approx(10)
 
 
 @pytest.mark.skipif(not TRUTH.is_file(), reason="the shared test data is not beside the repository (../shared/data)")

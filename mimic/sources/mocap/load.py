@@ -23,6 +23,7 @@ from mimic.sources.mocap.points import UNITS, UPS, Points
 from mimic.sources.mocap.skeletons import NEEDED, Columns, read_names, recognise
 from mimic.sources.mocap.smpl import read_parameters
 from mimic.sources.mocap.trc import read_trc
+from mimic.sources.video.screening import SHORTEST
 from mimic.sources.video.smoothing import smooth
 
 READERS: Mapping[str, Callable[[Path, MocapSettings], Points]] = {
@@ -38,14 +39,14 @@ READERS: Mapping[str, Callable[[Path, MocapSettings], Points]] = {
 ARM = 0.5
 """Approximate length of an adult's arm, shoulder -> elbow -> wrist [m]; it decides the unit of a file that names none.
 The motion does not depend on it, because arms are measured in their own length."""
-METRIC = ("m", "cm", "mm")
-"""Units that are confused in a file that names one, and those of points without one."""
-SCALED = (".bvh", ".c3d")
-"""Files in which lengths without a unit may be in inches or decimetres."""
+METRIC = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Units that a file without one may have, and those that are confused where it names one [m]."""
+BVH_UNITS = {**METRIC, "inches": 0.0254, "CMU's unit": 0.0254 / 0.45}
+"""Those of BVH, which has no place for a unit: Biovision's own are in inches, CMU's skeletons 1/0.45 of one [m]."""
 LONGEST = (0.15, 1.6)
-"""An arm is not shorter and not longer [m]; the units of UNITS are at most a factor of ten apart."""
+"""An arm in the unit that a file names is not shorter and not longer [m]."""
 CORRECTED = (0.25, 1.0)
-"""The same where a unit of METRIC must be meant [m]: 17 m may be anything."""
+"""The same where the unit follows from it [m]."""
 CLEARLY = 0.75
 """Minimum component of the torso direction along an axis that is taken as up."""
 
@@ -66,10 +67,10 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
         SourceError: If the file cannot be read, names no shoulders and wrists, or shows them too seldom.
     """
     points = READERS[path.suffix.lower()](path, mocap)
-    if len(points.t) < 2 or 0.0 < points.t[-1] - points.t[0] < settings.min_duration:
+    if len(points.t) < 2 or 0.0 < points.t[-1] - points.t[0] < SHORTEST:
         raise SourceError(
             f"{path.name} has {len(points.t)} rows in {np.ptp(points.t) if len(points.t) else 0:.2f} s; a motion needs "
-            f"at least two and {settings.min_duration:g} s"
+            f"at least two and {SHORTEST:g} s"
         )
     check_clock(
         points.t, path.name, SourceError, "store times in seconds, or give the frame rate as [mocap] fps in --config"
@@ -167,18 +168,11 @@ def _named(points: Points, scheme: Columns) -> Points:
 
 
 def _up(named: Points, asked: str, path: Path) -> tuple[str, tuple[str, ...]]:
-    """Return the axis that points up, and what the user should know about that.
-
-    The user is believed, then the body, then the file.
-    """
+    """Return the axis that points up, asked for or along the trunk, and what the user should know about that."""
     trunk = _trunk(named)
-    header = named.up
-    if asked == "auto" and header is not None and (trunk is None or np.dot(trunk, _UP[header]) > 1 - CLEARLY):
-        return header, ()
     if asked != "auto":
-        if trunk is None or np.dot(trunk, _UP[asked]) > 0.0:
-            return asked, ()
-        return asked, (f"with {asked} up the person of {path.name} is upside down most of the time",)
+        down = trunk is not None and bool(np.dot(trunk, _UP[asked]) < 0.0)
+        return asked, (f"with {asked} up the person of {path.name} is upside down most of the time",) * down
     if trunk is None:
         raise SourceError(
             f"{path.name} has neither hips nor feet, so the upward axis is unknown; give it as [mocap] up in --config"
@@ -189,9 +183,7 @@ def _up(named: Points, asked: str, path: Path) -> tuple[str, tuple[str, ...]]:
             f"the torso in {path.name} points along ({', '.join(f'{v:.2f}' for v in trunk)}), along no single axis; "
             "give the upward axis as [mocap] up in --config"
         )
-    up = ("" if trunk[axis] > 0 else "-") + "xyz"[axis]
-    said = f"{path.name} says that {header} is up, but the trunk points along {up}; the trunk is believed"
-    return up, (said,) * (header is not None)
+    return ("" if trunk[axis] > 0 else "-") + "xyz"[axis], ()
 
 
 def _trunk(named: Points) -> FloatArray | None:
@@ -228,14 +220,13 @@ def _unit(named: Points, path: Path) -> tuple[str, float, tuple[str, ...]]:
     length = float(np.quantile(known, 0.9))
     if given is not None and LONGEST[0] <= UNITS[given] * length <= LONGEST[1]:
         return given, UNITS[given], ()
-    guessed = given is None and path.suffix.lower() in SCALED
-    units = UNITS if guessed else METRIC
-    best = min(units, key=lambda name: abs(np.log(max(UNITS[name] * length, 1e-12) / ARM)))
-    shortest, longest = LONGEST if guessed else CORRECTED
-    if not shortest <= UNITS[best] * length <= longest:
+    units = BVH_UNITS if path.suffix.lower() == ".bvh" else METRIC
+    best = min(units, key=lambda name: abs(np.log(max(units[name] * length, 1e-12) / ARM)))
+    if not CORRECTED[0] <= units[best] * length <= CORRECTED[1]:
         raise SourceError(
-            f"the arms in {path.name} are {length:.3g} {given or 'units'} long; expected {shortest:g} to "
-            f"{longest:g} m, in {' or '.join(units)}: correct the unit, or the positions"
+            f"the arms in {path.name} are {length:.3g} {given or 'units'} long; expected {CORRECTED[0]:g} to "
+            f"{CORRECTED[1]:g} m, in {' or '.join(units)}: correct the unit, or the positions"
         )
-    doubt = f"the file says {given}, but its arms would be {UNITS[given or best] * length:.3g} m long"
-    return f"{best} by the length of the arms", UNITS[best], (doubt,) * (given is not None)
+    would = UNITS[given or "m"] * length
+    doubts = (f"the file says {given}, but its arms would be {would:.3g} m long",) * (given is not None)
+    return f"{best} by the length of the arms", units[best], doubts

@@ -11,14 +11,14 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
-from mimic.sources.mocap.points import UPS, Points, clock
+from mimic.sources.mocap.points import Points, clock
 from mimic.sources.mocap.skeletons import layout_of
 from mimic.sources.mocap.smpl import KEYS, RATES, has_rotations, points_of_rotations
 
 POINTS = ("points", "joints", "xyz", "keypoints_3d", "pred_keypoints_3d")
 """Names of the array of positions; the first that is there counts."""
 VISIBILITY = ("visibility", "score", "scores", "confidence")
-_READ = {*POINTS, *VISIBILITY, *KEYS, "t", "names", "layout", "up"}
+_READ = {*POINTS, *VISIBILITY, *KEYS, "t", "names", "layout"}
 """Arrays that are read; others are left where they are."""
 LARGEST = 500_000_000
 """Most bytes of the arrays that are read."""
@@ -50,15 +50,11 @@ def read_npz(path: Path, settings: MocapSettings) -> Points:
     score = next((arrays[key] for key in VISIBILITY if key in arrays), np.ones((rows, count)))
     if score.shape != (rows, count):
         raise SourceError(f"the visibilities in {path.name} have shape {score.shape}; expected ({rows}, {count})")
-    up = str(arrays["up"]) if "up" in arrays else None
-    if up is not None and up not in UPS:
-        raise SourceError(f"'up' in {path.name} is {up!r}; expected one of {', '.join(UPS)}")
     return Points(
         t=_times(arrays, rows, settings, path),
         xyz=xyz,
         score=np.nan_to_num(np.array(score, dtype=np.float64)),
         names=names,
-        up=up,
     )
 
 

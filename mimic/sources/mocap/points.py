@@ -14,7 +14,7 @@ from mimic.records import SIDES, FloatArray
 
 UPS = ("x", "y", "z", "-x", "-y", "-z")
 """Axes that may point up."""
-UNITS = {"m": 1.0, "dm": 0.1, "in": 0.0254, "cm": 0.01, "mm": 0.001}
+UNITS = {"m": 1.0, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 """Length of each unit that a file may use [m]."""
 
 
@@ -32,8 +32,6 @@ class Points:
     """Name of each point."""
     unit: str | None = None
     """Unit of the positions, None where the file names none."""
-    up: str | None = None
-    """Axis that points up, such as ``y`` or ``-y``, None where the file names none."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 

@@ -56,7 +56,7 @@ WHOLE = ("poses", "pose_world", "smpl_poses", "pose", "fullpose")
 """Names of the rotations of the pelvis, of the other joints, and of all of them; the first that is there counts."""
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate", "framerate")
 KEYS = (*ROOTS, *BODIES, *WHOLE, *RATES)
-_WIDTHS = {66: "22 joints", 72: "SMPL", 156: "SMPL-H", 165: "SMPL-X", 231: "SOMA"}
+_JOINTS = {22: "the body", 24: "SMPL", 52: "SMPL-H", 55: "SMPL-X", 77: "SOMA"}
 
 
 SKEWED = 0.02
@@ -107,29 +107,16 @@ def _first(arrays: Mapping[str, Any], names: tuple[str, ...]) -> str | None:
 
 def _rotations(arrays: Mapping[str, Any], path: Path) -> FloatArray:
     """Return the rotations of the 22 joints relative to their parents (T, 22, 3, 3)."""
-    root, body, whole = (_first(arrays, names) for names in (ROOTS, BODIES, WHOLE))
-    if root is not None and body is not None:
-        parts = [_matrices(arrays[name], name, path) for name in (root, body)]
-        if len(parts[0]) != len(parts[1]) or parts[0].shape[1] != 1 or parts[1].shape[1] < len(JOINTS) - 1:
-            shapes = f"{np.shape(arrays[root])} and {np.shape(arrays[body])}"
-            raise SourceError(
-                f"{path.name}: '{root}' and '{body}' have shapes {shapes}; expected (T, 3) and (T, 63) or more"
-            )
-        return _shared(np.concatenate(parts, axis=1))
-    assert whole is not None  # has_rotations
-    given = np.shape(arrays[whole])
-    if len(given) == 2 and given[1] not in _WIDTHS:
-        known = ", ".join(f"{width} ({what})" for width, what in _WIDTHS.items())
-        raise SourceError(f"{path.name}: '{whole}' has shape {given}; expected (T, W) with a width W of {known}")
-    turns = _matrices(arrays[whole], whole, path)
-    if turns.shape[1] < len(JOINTS):
-        raise SourceError(f"{path.name}: '{whole}' has {turns.shape[1]} joints; expected at least {len(JOINTS)}")
-    return _shared(turns)
-
-
-def _shared(turns: FloatArray) -> FloatArray:
-    """Return the rotations of JOINTS among those of all joints."""
-    return turns[:, SOMA if turns.shape[1] == max(_WIDTHS) // 3 else slice(len(JOINTS))]
+    both = [name for name in (_first(arrays, ROOTS), _first(arrays, BODIES)) if name]
+    names = both if len(both) > 1 else [name for name in WHOLE if name in arrays][:1]
+    parts = [_matrices(arrays[name], name, path) for name in names]
+    joints = sum(part.shape[1] for part in parts)
+    if joints not in _JOINTS or len({len(part) for part in parts}) > 1:
+        given = " and ".join(f"'{name}' {np.shape(arrays[name])}" for name in names)
+        known = ", ".join(f"{count} ({what})" for count, what in _JOINTS.items())
+        raise SourceError(f"{path.name} has {given}; expected T rows of joints whose number is {known}")
+    turns = np.concatenate(parts, axis=1)
+    return turns[:, SOMA if joints == max(_JOINTS) else slice(len(JOINTS))]
 
 
 def _matrices(given: Any, name: str, path: Path) -> FloatArray:
@@ -211,13 +198,9 @@ def _frames(arrays: Mapping[str, Any], count: int) -> FloatArray:
 _People = Mapping[Any, Mapping[str, Any]]
 
 
-def _plain(data: dict[Any, Any]) -> _People:
-    return {0: data} if has_rotations(data) else {}
-
-
 def _global(data: dict[Any, Any]) -> _People:
-    own = next((value for key, value in data.items() if str(key).endswith("_params_global")), None)
-    return _plain(own) if isinstance(own, dict) else {}
+    own = next((value for key, value in data.items() if str(key).endswith("_params_global")), data)
+    return {0: own} if has_rotations(own) else {}
 
 
 def _wham(data: dict[Any, Any]) -> _People:
@@ -245,8 +228,7 @@ def _humans4d(data: dict[Any, Any]) -> _People:
 
 
 _PROGRAMS: tuple[tuple[str, Callable[[dict[Any, Any]], _People]], ...] = (
-    ("GVHMR or GEM-X", _global),
     ("WHAM", _wham),
     ("4D-Humans", _humans4d),
-    ("the SMPL family", _plain),
+    ("the SMPL family", _global),
 )

@@ -11,12 +11,13 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
 from itertools import chain
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,19 +65,19 @@ class CameraFrame:
     """Which landmarks are usable (33,); none if no person was detected."""
     size: tuple[int, int]
     """Width and height of the picture [px]."""
-    skipped: int
-    """Frames dropped since the previous row because a newer one had arrived."""
+    number: int
+    """Frames before it; those that are no rows were dropped in favour of newer ones."""
     swapped: bool
     """Whether the left and right of the detector were swapped."""
     detector_s: float
     """Time that the detector took [s]."""
-    depth_spread: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    depth_spread: FloatArray
     """Standard deviation of the depth of left and right wrist (2,) [m]; NaN if it was not estimated."""
-    clothes: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    clothes: FloatArray
     """Colour of the person's clothes (3,), L*a*b*; NaN where none are in the picture."""
-    people: tuple[str, ...] = ()
+    people: tuple[str, ...]
     """What is to be said about several people in view so far."""
-    jpeg: bytes | None = None
+    jpeg: bytes | None
     """Preview picture; None in most rows."""
 
 
@@ -98,14 +99,12 @@ class CameraStream:
         Raises:
             SourceError: If the camera fails.
         """
-        dropped = 0
         preview = None
         while True:
             try:
                 item = self._pipe.recv()
-                preview = item.jpeg or preview if isinstance(item, CameraFrame) else preview
+                preview = getattr(item, "jpeg", None) or preview
                 if isinstance(item, CameraFrame) and self._pipe.poll():  # a newer one has arrived
-                    dropped += item.skipped + 1
                     continue
             except (EOFError, OSError):
                 return
@@ -113,8 +112,7 @@ class CameraStream:
                 raise SourceError(item)
             if item is None:
                 return
-            yield replace(item, skipped=item.skipped + dropped, jpeg=preview)
-            dropped = 0
+            yield replace(item, jpeg=preview)
             preview = None
 
 
@@ -136,7 +134,7 @@ def open_camera(
         AssetError: If there is no model to detect with.
     """
     device = _is_device(camera)
-    pose = replace(pose, pose_model=pose_model(pose.pose_model))  # found once, and its errors are raised here
+    pose_model()  # its errors are raised here
     context = get_context("spawn")
     parent_end, child_end = context.Pipe()
     process = context.Process(
@@ -215,37 +213,16 @@ def _rgb(bgr: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(square(bgr, picture_size(bgr)), cv2.COLOR_BGR2RGB)
 
 
-class _LatestFrame:
-    """Slot that holds only the newest frame and counts the frames that it replaced."""
+_Newest = Queue[tuple[int, float, np.ndarray] | None]
+"""Holds only the newest frame: its number, its arrival and the picture; None at the end."""
 
-    def __init__(self) -> None:
-        self._condition = threading.Condition()
-        self._item: tuple[float, np.ndarray] | None = None
-        self._dropped = 0
-        self._over = False
 
-    def put(self, t: float, rgb: np.ndarray) -> None:
-        with self._condition:
-            self._dropped += self._item is not None
-            self._item = t, rgb
-            self._condition.notify()
-
-    def end(self) -> None:
-        with self._condition:
-            self._over = True
-            self._condition.notify()
-
-    def take(self) -> tuple[float, np.ndarray, int] | None:
-        """Wait for a frame and return the newest one; None at the end."""
-        with self._condition:
-            self._condition.wait_for(lambda: self._item is not None or self._over)
-            if self._item is None:
-                return None
-            (t, rgb) = self._item
-            dropped = self._dropped
-            self._item = None
-            self._dropped = 0
-            return t, rgb, dropped
+def _keep_newest(pictures: Iterator[np.ndarray], latest: _Newest) -> None:
+    for number, rgb in enumerate(pictures):
+        with suppress(Empty):
+            latest.get_nowait()
+        latest.put((number, time.monotonic(), rgb))
+    latest.put(None)
 
 
 def _run_camera(
@@ -260,62 +237,58 @@ def _run_camera(
     from mimic.sources.video.people import People
     from mimic.sources.video.pose_models.blazepose import BlazePose, Everybody
 
-    latest = _LatestFrame()
+    latest: _Newest = Queue(1)
     depth = LiveDepth() if pose.depth else None
-    assert isinstance(pose.pose_model, Path)
+    model = pose_model()
     hint = "let one person stand before the camera"
     try:
         with ExitStack() as stack:
             if device:
                 capture, first = _opened(camera, live.camera_size)
-                given = _read_camera, (capture, latest)
+                pictures = _read_camera(capture)
             else:
                 video = stack.enter_context(open_video(Path(camera)))
                 frame = next(video.frames)
                 first = frame.rgb
-                given = _play_file, (chain([frame], video.frames), latest, pipe)
-            detect = stack.enter_context(BlazePose(pose.pose_model))
-            everybody = stack.enter_context(Everybody(pose.pose_model))
+                pictures = _play_file(chain([frame], video.frames), pipe)
+            detect = stack.enter_context(BlazePose(model))
+            everybody = stack.enter_context(Everybody(model))
             people = People(everybody, None, camera, hint)
             detect(people.show(0.0, first))  # warm-up: the first detection is slow
             pipe.send(True)
-            threading.Thread(target=given[0], args=given[1], daemon=True).start()
+            threading.Thread(target=_keep_newest, args=(pictures, latest), daemon=True).start()
             _detect(latest, detect, people, depth, pose, pipe, previews)
     except SourceError as reason:
         pipe.send(str(reason))
 
 
-def _read_camera(capture: Any, latest: _LatestFrame) -> None:
-    """Read frames as they arrive; stop after a second of failed reads."""
+def _read_camera(capture: Any) -> Iterator[np.ndarray]:
+    """Yield frames as they arrive; stop after a second of failed reads."""
     failures = 0
     while failures < 30:
         ok, bgr = capture.read()
+        failures = 0 if ok else failures + 1
         if ok:
-            latest.put(time.monotonic(), _rgb(bgr))
-            failures = 0
+            yield _rgb(bgr)
         else:
-            failures += 1
             time.sleep(1 / 30)
-    latest.end()
 
 
-def _play_file(frames: Iterator[Frame], latest: _LatestFrame, pipe: Connection) -> None:
-    """Deliver the frames of a file in real time, by their time stamps, once the parent asks for them."""
+def _play_file(frames: Iterator[Frame], pipe: Connection) -> Iterator[np.ndarray]:
+    """Yield the frames of a file in real time, by their time stamps, once the parent asks for them."""
     try:
         pipe.recv()
     except (EOFError, OSError):
         return
-    begun = time.monotonic()
-    first = None
+    begun = None
     for frame in frames:
-        first = frame.stamp_ms if first is None else first
-        time.sleep(max(0.0, begun + (frame.stamp_ms - first) / 1e3 - time.monotonic()))
-        latest.put(time.monotonic(), frame.rgb)
-    latest.end()
+        begun = begun or time.monotonic() - frame.stamp_ms / 1e3
+        time.sleep(max(0.0, begun + frame.stamp_ms / 1e3 - time.monotonic()))
+        yield frame.rgb
 
 
 def _detect(
-    latest: _LatestFrame,
+    latest: _Newest,
     detect: Any,
     people: People,
     depth: LiveDepth | None,
@@ -330,8 +303,8 @@ def _detect(
     last_preview = -np.inf
     began = time.monotonic()
     look = FIRST_LOOK
-    while (item := latest.take()) is not None:
-        t, rgb, skipped = item
+    while (item := latest.get()) is not None:
+        number, t, rgb = item
         started = time.monotonic()
         if t - began > look:  # it takes as long as some frames: seldom
             look *= 2
@@ -364,7 +337,7 @@ def _detect(
             score=score,
             valid=(score >= pose.min_visibility) & person,
             size=size,
-            skipped=skipped,
+            number=number,
             swapped=bool(swapped),
             detector_s=time.monotonic() - started,
             depth_spread=spread,

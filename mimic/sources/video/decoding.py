@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,7 +30,8 @@ Source: four 1080 x 1920 views of a real person against triangulation: the mean 
 full size and at this size; at 640 px the detector swaps left and right more often.
 """
 
-_QUEUE_SIZE = 8
+_AHEAD = 8
+"""Frames decoded ahead."""
 _THUMBNAIL = (32, 24)
 
 
@@ -60,6 +61,8 @@ class Video:
     """The frames in order, decoded in a background thread."""
     damaged: list[float]
     """Times of the frames so far that could not be decoded [s]; those behind them are."""
+    end_ms: float
+    """Time stamp at which the file says that it ends [ms]; 0 where it does not."""
 
     def __iter__(self) -> Iterator[Frame]:
         return self.frames
@@ -77,17 +80,22 @@ def open_video(path: Path) -> Iterator[Video]:
     if path.stat().st_size == 0:
         raise SourceError(f"{path.name} is empty (0 bytes); record or copy the video again")
     damaged: list[float] = []
-    first, others, count = _opened(path, damaged)
-    stop = threading.Event()
-    decoded: queue.Queue[Frame | Exception | None] = queue.Queue(_QUEUE_SIZE)
-    thread = threading.Thread(target=_decode_into, args=(others, decoded, stop), name="decode", daemon=True)
-    thread.start()
-    try:
-        yield Video(first.size, count, chain([first], _drain(decoded)), damaged)
-    finally:
-        stop.set()
-        thread.join()
-        others.close()
+    first, others, container, count = _opened(path, damaged)
+    end = (container.start_time or 0) + (container.duration or 0)
+    with closing(_ahead(others)) as frames:
+        yield Video(first.size, count, chain([first], frames), damaged, end / 1e3)
+
+
+def _ahead(frames: Generator[Frame]) -> Generator[Frame]:
+    """Yield frames that a thread decodes, some of them before they are asked for."""
+    with ThreadPoolExecutor(1) as pool:
+        waiting = deque(pool.submit(next, frames, None) for _ in range(_AHEAD))
+        try:
+            while (frame := waiting.popleft().result()) is not None:
+                waiting.append(pool.submit(next, frames, None))
+                yield frame
+        finally:
+            pool.submit(frames.close)
 
 
 def check_video(path: Path) -> None:
@@ -96,8 +104,8 @@ def check_video(path: Path) -> None:
         pass
 
 
-def _opened(path: Path, damaged: list[float]) -> tuple[Frame, Generator[Frame], int | None]:
-    """Return the first frame of the largest picture stream, the others, and how many the header announces, if any.
+def _opened(path: Path, damaged: list[float]) -> tuple[Frame, Generator[Frame], InputContainer, int | None]:
+    """Return the first frame of the largest picture stream, the others, the file, and how many its header announces.
 
     Raises:
         SourceError: If there is no picture.
@@ -111,7 +119,7 @@ def _opened(path: Path, damaged: list[float]) -> tuple[Frame, Generator[Frame], 
         streams = [stream for stream in container.streams.video if not stream.disposition & cover]
         stream = max(streams, key=lambda one: one.width * one.height)
         frames = _frames(container, stream, damaged)
-        return next(frames), frames, stream.frames or None
+        return next(frames), frames, container, stream.frames or None
     except (av.FFmpegError, ValueError, StopIteration):
         if container is not None:
             container.close()
@@ -187,66 +195,6 @@ def square(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     wanted = round(size[0] * shrink), round(size[1] * shrink)
     same = wanted == (picture.shape[1], picture.shape[0])
     return picture if same else cv2.resize(picture, wanted, interpolation=cv2.INTER_LINEAR)
-
-
-def _decode_into(frames: Iterator[Frame], decoded: queue.Queue[Any], stop: threading.Event) -> None:
-    def put(item: Frame | Exception | None) -> None:
-        while not stop.is_set():
-            try:
-                return decoded.put(item, timeout=0.1)
-            except queue.Full:
-                continue
-
-    try:
-        for frame in frames:
-            put(frame)
-            if stop.is_set():
-                break
-    except Exception as error:
-        put(error)
-    else:
-        put(None)
-
-
-def _drain(decoded: queue.Queue[Any]) -> Iterator[Frame]:
-    while (item := decoded.get()) is not None:
-        if isinstance(item, Exception):
-            raise item
-        yield item
-
-
-def missing_bytes(path: Path) -> int:
-    """Return how many bytes the outermost elements of an MP4, MOV, MKV, WebM or AVI announce beyond the file's end.
-
-    0 where none do. The number of frames in a header says less: it counts those before an edit list or a late start.
-    """
-    size = end = path.stat().st_size
-    with open(path, "rb") as file:
-        head = file.read(4096)
-        if head[:4] == b"RIFF":
-            end = 8 + int.from_bytes(head[4:8], "little")
-        elif head[:4] == b"\x1a\x45\xdf\xa3":  # EBML, then the segment
-            header, at = _ebml_size(head, 4)
-            length, at = _ebml_size(head, at + (header or 0) + 4)
-            end = size if length is None else at + length
-        elif head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):
-            end = 0
-            while end + 8 <= size:
-                file.seek(end)
-                box = file.read(16)
-                length = int.from_bytes(box[8:16] if box[:4] == b"\0\0\0\1" else box[:4], "big")
-                end = end + length if length >= 8 else size
-    return max(0, end - size)
-
-
-def _ebml_size(data: bytes, at: int) -> tuple[int | None, int]:
-    """Return the size that stands at a place, None where it is unknown, and the place after it."""
-    if at >= len(data) or not data[at]:
-        return None, at
-    count = 9 - data[at].bit_length()
-    ones = (1 << 7 * count) - 1
-    value = int.from_bytes(data[at : at + count], "big") & ones
-    return None if value == ones else value, at + count
 
 
 def true_times(stamps_ms: FloatArray) -> tuple[FloatArray, int]:

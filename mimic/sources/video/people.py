@@ -8,7 +8,6 @@ somebody else are left out. People are known again by their place and the colour
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -57,7 +56,6 @@ WIDE = 1.2
 whole of it are found there. Where nobody was chosen, every second look does so."""
 
 CHOOSE = "--person left|right|largest|N chooses"
-_ORDINALS = ("left", "second from the left", "third from the left", "fourth from the left", "fifth from the left")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +163,6 @@ class People:
         self._place: Person | None = None
         self._crop: tuple[int, int, int, int] | None = None
         self._looks: list[tuple[float, list[Person]]] = []
-        self._followed: list[int | None] = []
         self._rows: list[bool] = []
         self._since_look = 0
         self.astray = False
@@ -265,11 +262,6 @@ class People:
         if not np.isfinite(image).all():
             return
         person = person_of(image, self._aspect, colour)
-        if len(self._followed) < len(self._looks):
-            people = self._looks[-1][1]
-            away = [_apart(person, one) for one in people]
-            near = int(np.argmin(away)) if away else -1
-            self._followed.append(near if away and away[near] < 2 * SAME else None)
         if self._own is None or self._place is None:
             return
         others = [unlike(person, one) for i, one in enumerate(self._known) if i != self._own and not one.missed]
@@ -284,8 +276,6 @@ class People:
         """Look for everybody in a picture at time t [s]."""
         closely = self._choice is not None or len(self._looks) % 2 == 0  # squares take two thirds of the time
         people = distinct(list(self._everybody_in(rgb, closely)))
-        if len(self._followed) < len(self._looks):
-            self._followed.append(None)
         self._looks.append((t, people))
         if self._choice is None:
             return
@@ -336,7 +326,7 @@ class People:
                 f"--person {self._choice}: {self._name} shows {most} {'person' if most == 1 else 'people'} at most; "
                 "give left, right, largest, or a number from the left"
             )
-        said = describe(self._looks, self._followed, self._choice, self._hint)
+        said = describe(self._looks, self._choice, self._hint)
         if self._choice is None:
             return said
         gaps = 1.0 - float(self.followed_rows().mean())
@@ -344,28 +334,17 @@ class People:
         return [*said, *[left_out] * (gaps > FEW_GAPS)]
 
 
-def describe(
-    looks: list[tuple[float, list[Person]]], followed: list[int | None], choice: Choice | None, hint: str = CHOOSE
-) -> list[str]:
-    """Return a sentence if several people are in view: when, and who of them is followed.
+def describe(looks: list[tuple[float, list[Person]]], choice: Choice | None, hint: str = CHOOSE) -> list[str]:
+    """Return a sentence if several people are in view: how many, when, and who chose among them.
 
     Args:
-        looks: Times [s] and the people found then, from left to right.
-        followed: Which of them the detector followed; None where it was none of them.
+        looks: Times [s] and the people found then.
         choice: Who was chosen, if anybody.
         hint: What to do if nobody was.
     """
-    several = [i for i, (_, people) in enumerate(looks) if len(people) > 1]
+    several = [(t, len(people)) for t, people in looks if len(people) > 1]
     if len(several) < MIN_LOOKS or len(several) < MIN_SHARE * len(looks):
         return []
-    most = max(len(looks[i][1]) for i in several)
-    times = f"between {looks[several[0]][0]:.0f} and {looks[several[-1]][0]:.0f} s"
-    ranks = Counter(followed[i] for i in several if i < len(followed) and followed[i] is not None)
-    who = _ORDINALS[ranks.most_common(1)[0][0] or 0] if ranks else ""
-    if ranks and ranks.most_common(1)[0][0] == most - 1:
-        who = "right"
-    said = f"up to {most} people are in view {times}; "
-    said += f"the {who} one is followed" if ranks else "it is not clear who of them is followed"
-    if choice is None:
-        return [f"{said}, as the detector chose: {hint}"]
-    return [f"{said} (--person {choice})"]
+    most = max(count for _, count in several)
+    who = f"the detector follows one of them: {hint}" if choice is None else f"--person {choice} is followed"
+    return [f"up to {most} people are in view between {several[0][0]:.0f} and {several[-1][0]:.0f} s; {who}"]

@@ -8,9 +8,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 _PYTHON = "3.12"
@@ -26,14 +25,13 @@ class RegistryError(Exception):
 
 
 @contextmanager
-def download(package: str, *, progress: Callable[[int, int | None], None] | None = None) -> Iterator[Path]:
+def download(package: str) -> Iterator[Path]:
     """Yield the wheel of a release, or the folder of its content; it is removed after the block.
 
     The programs read the user's own settings of registries, proxies and certificates.
 
     Args:
         package: Name and release, as the program takes them.
-        progress: Called with the megabytes that are there, and None.
 
     Raises:
         RegistryError: If no program can download it.
@@ -41,7 +39,7 @@ def download(package: str, *, progress: Callable[[int, int | None], None] | None
     reasons = []
     for program, command in _programs():
         with tempfile.TemporaryDirectory(prefix="mimic-") as folder:
-            error = _run([*command, package], Path(folder), progress)
+            error = _run([*command, package], Path(folder))
             if error is None:
                 place = Path(folder) / "wheel"
                 yield next(place.glob("*.whl"), place)
@@ -55,38 +53,25 @@ def _programs() -> Iterator[tuple[str, list[str]]]:
     uv = os.environ.get("UV") or shutil.which("uv") or shutil.which("uv", path=str(Path(sys.executable).parent))
     found = {}
     if importlib.util.find_spec("pip") is not None:
-        found["pip"] = [
-            *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:"),
-            *("--disable-pip-version-check", "--no-input", "--no-cache-dir", "--implementation", "cp"),
-            *("--python-version", _PYTHON, "--platform", _PIP_PLATFORM, "--dest", "wheel"),
-        ]
+        options = (
+            "--quiet --no-deps --only-binary=:all: --disable-pip-version-check --no-input --no-cache-dir "
+            f"--implementation cp --python-version {_PYTHON} --platform {_PIP_PLATFORM} --dest wheel"
+        )
+        found["pip"] = [sys.executable, "-m", "pip", "download", *options.split()]
     if uv is not None:
-        found["uv"] = [
-            *(uv, "pip", "install", "--quiet", "--no-deps", "--only-binary", ":all:", "--no-cache"),
-            *("--python", sys.executable, "--python-version", _PYTHON),
-            *("--python-platform", _UV_PLATFORM, "--target", "wheel"),
-        ]
+        options = (
+            "--quiet --no-deps --only-binary :all: --no-cache "
+            f"--python-version {_PYTHON} --python-platform {_UV_PLATFORM} --target wheel"
+        )
+        found["uv"] = [uv, "pip", "install", "--python", sys.executable, *options.split()]
     yield from sorted(found.items(), reverse="UV" in os.environ)
 
 
-def _run(command: list[str], folder: Path, progress: Callable[[int, int | None], None] | None) -> str | None:
+def _run(command: list[str], folder: Path) -> str | None:
     """Run a command in a folder, away from any project's own versions; return the reason if it failed."""
-    output = folder / "output"
     where = {"env": {**os.environ, "TMPDIR": str(folder)}, "cwd": folder}
-    with (
-        open(output, "w") as stream,
-        subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, **where) as process,
-    ):
-        try:
-            while process.poll() is None:
-                if progress is not None:
-                    with suppress(OSError):  # a file was moved meanwhile
-                        progress(sum(file.lstat().st_size for file in folder.rglob("*")) // 1_000_000, None)
-                time.sleep(0.1)
-        except BaseException:
-            process.terminate()
-            raise
-    if process.returncode == 0:
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", **where)
+    if done.returncode == 0:
         return None
-    lines = [line.strip() for line in output.read_text(errors="replace").splitlines()]
+    lines = [line.strip() for line in (done.stdout + done.stderr).splitlines()]
     return next((line for line in reversed(lines) if line.lower().startswith("error")), (lines or ["it failed"])[-1])

@@ -4,30 +4,54 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.records import ELBOWS, HIPS, KNEES, LANDMARKS, SHOULDERS, WRISTS, BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.records import (
+    ELBOWS,
+    HIPS,
+    KNEES,
+    LANDMARKS,
+    SHOULDERS,
+    WRISTS,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    PoseTrack,
+    landmarks_of,
+)
 
 CUT_CHANGE = 8.0
 """Minimum thumbnail change at a cut [grey levels of 255]; a hard cut between similar rooms gives 22."""
 CUT_RATIO = 4.0
 """Minimum ratio to the change in neighbouring frames: 12 at that cut, at most 2.1 in fourteen clips without a cut."""
+SHORTEST = 0.1
+"""A clip or a recording is no shorter: the usual time between two targets [s]."""
+JUMP = 7.5
+"""Faster than this no hip and no wrist moves [m/s], 0.25 m in a frame of FRAME and as far in a shorter one."""
 FRAME = 1 / 30
-"""Frame interval of ``max_jump``; longer intervals allow proportionally larger movements [s]."""
+MOST_JUMPS = 0.05
+"""A larger share of frames with a jump is reported."""
 
 UNSTEADY = (0.145, 0.075)
 """What `unsteadiness` of both kinds must exceed where no body is: of 25 clips of people at most 0.12 and 0.06, of five
 phantoms (a foot in a pool, a fist before a face, dances of several people) at least 0.17 and 0.09."""
 ACROSS = 0.6
 """Least part of the trunk that points up in the picture: 0.84 of people who stand or sit, 0.55 turned by 90 degrees."""
-SQUEEZED = (0.86, 1.07)
-"""Usual width over height of the upper body in the picture, as a share of the same in the landmarks: 0.87 to 1.03 of
-people, 0.75 to 0.96 and 1.03 to 1.21 of five of them squeezed by half."""
-BENT = 60.0
+FLAT_FACE = 2.15
+"""Usual distance of the ears over that of eyes and mouth in the picture: of people at most 1.9, of three of them in
+half the height 2.5 to 2.9."""
+NARROW = 0.86
+"""Usual width over height of the upper body in the picture, as a share of the same in the landmarks: at least 0.87 of
+people, 0.84, 0.85 and 0.91 of three of them in half the width."""
+BENT = 45.0
 """Bend of the hips in the picture beyond which a person does not stand, in a fifth of the rows [deg]: of people who
-stand at most 34, who sit, squat or lie at least 78."""
+stand at most 34, who squat, sit or lie at least 53."""
 LEANT = 35.0
 """The same for the lean of the trunk [deg]: of people who stand at most 23."""
 
 _TRUNK = SHOULDERS + HIPS
+_EARS = landmarks_of("ear")
+_EYES = landmarks_of("eye")
+_MOUTH = [LANDMARKS.index("mouth_left"), LANDMARKS.index("mouth_right")]
+_SQUEEZED = "than people are; if the picture is squeezed, restore its width and height"
 _UPPER = [*SHOULDERS, *ELBOWS, *WRISTS, *HIPS, LANDMARKS.index("nose")]
 _BONES = np.array([(11, 12), (11, 13), (12, 14), (13, 15), (14, 16)])
 """Shoulder line, upper arms and forearms in LANDMARKS."""
@@ -56,12 +80,12 @@ def shot_starts(change: FloatArray) -> IntArray:
     return np.flatnonzero((change > CUT_CHANGE) & (change > CUT_RATIO * (np.max(neighbours, axis=0) + 1.0)))
 
 
-def jump_share(track: PoseTrack, max_jump: float) -> float:
-    """Return the share of frames in which a wrist or the whole person moves by more than ``max_jump`` [m] at once."""
+def jump_share(track: PoseTrack) -> float:
+    """Return the share of frames in which a wrist or the whole person moves faster than JUMP."""
     rows = np.flatnonzero(track.valid[:, SHOULDERS].all(axis=1))
     if len(rows) < 2:
         return 0.0
-    limit = max_jump * np.maximum(1.0, np.diff(track.t[rows]) / FRAME)
+    limit = JUMP * np.maximum(FRAME, np.diff(track.t[rows]))
     wrists = np.where(track.valid[rows][:, WRISTS, None], track.landmarks[rows][:, WRISTS], np.nan)
     wrists_moved = np.linalg.norm(np.diff(wrists, axis=0), axis=-1)
     pixels = in_pixels(track)[rows][:, _TRUNK]
@@ -118,9 +142,8 @@ def posture(track: PoseTrack) -> str:
     rows = track.valid[:, _TRUNK].all(axis=1)
     if not rows.any():
         return ""
-    metres = track.landmarks[rows][:, _UPPER, :2]
-    pixels = in_pixels(track)[rows][:, _UPPER]
-    trunk = pixels[:, :2].mean(axis=1) - pixels[:, 6:8].mean(axis=1)
+    pixels = in_pixels(track)[rows]
+    trunk = pixels[:, SHOULDERS].mean(axis=1) - pixels[:, HIPS].mean(axis=1)
     up = float(np.median(-trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=-1), 1e-9)))
     if up < -ACROSS:
         return "the shoulders are below the hips; if the video is upside down, rotate it"
@@ -129,18 +152,18 @@ def posture(track: PoseTrack) -> str:
             "the trunk lies across the picture; if the video is turned by 90°, rotate it; if the person leans or lies, "
             "the robot does not"
         )
-    metres, pixels = (points - points.mean(axis=1, keepdims=True) for points in (metres, pixels))
-    slopes = (metres * pixels).sum(axis=1) / (metres**2).sum(axis=1)
-    wide = float(np.median(slopes[:, 0] / slopes[:, 1]))
-    if not SQUEEZED[0] <= wide <= SQUEEZED[1]:
-        return (
-            f"the person is {'narrower' if wide < 1.0 else 'wider'} than people are; if the picture is squeezed, "
-            "restore its width and height"
-        )
+    wide = np.linalg.norm(pixels[:, _EARS[0]] - pixels[:, _EARS[1]], axis=-1)
+    high = np.linalg.norm(pixels[:, _EYES].mean(axis=1) - pixels[:, _MOUTH].mean(axis=1), axis=-1)
+    if np.median(wide / np.maximum(high, 1.0)) > FLAT_FACE:
+        return f"the person is wider {_SQUEEZED}"
     lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
     if np.quantile(lean, 0.8) > LEANT or _hips_bent(track) > BENT:
         return "the person bends, sits, squats or leans: the robot moves its front legs as the arms, and does not"
-    return ""
+    drawn = pixels[:, _UPPER]
+    metres = track.landmarks[rows][:, _UPPER, :2]
+    metres, drawn = (points - points.mean(axis=1, keepdims=True) for points in (metres, drawn))
+    slopes = (metres * drawn).sum(axis=1) / (metres**2).sum(axis=1)
+    return f"the person is narrower {_SQUEEZED}" if np.median(slopes[:, 0] / slopes[:, 1]) < NARROW else ""
 
 
 def _hips_bent(track: PoseTrack) -> float:

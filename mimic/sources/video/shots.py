@@ -55,10 +55,10 @@ class Change:
     """Whether the person after it looks like another one; False where that cannot be said."""
 
 
-def lightness(rgb: np.ndarray) -> tuple[float, float]:
-    """Return mean and spread of the brightness of a picture [grey levels of 255]."""
+def is_black(rgb: np.ndarray) -> bool:
+    """Return whether a picture shows nothing."""
     grey = rgb[:: max(1, rgb.shape[0] // 24), :: max(1, rgb.shape[1] // 32)].mean(axis=-1)
-    return float(grey.mean()), float(grey.std())
+    return bool(grey.mean() < DARK and grey.std() < FLAT)
 
 
 def clothes_colour(rgb: np.ndarray, image: FloatArray) -> FloatArray:
@@ -86,7 +86,7 @@ def clothes_colour(rgb: np.ndarray, image: FloatArray) -> FloatArray:
 
 
 def find_changes(
-    track: PoseTrack, person: BoolArray, clothes: FloatArray, change: FloatArray, light: FloatArray
+    track: PoseTrack, person: BoolArray, clothes: FloatArray, change: FloatArray, black: BoolArray
 ) -> tuple[Change, ...]:
     """Return the changes of a clip in order of time.
 
@@ -95,14 +95,14 @@ def find_changes(
         person: Rows that show a person (T,).
         clothes: Colour of the clothes in each row (T, 3), L*a*b*.
         change: Difference of each frame's thumbnail from the previous one (T,) [grey levels].
-        light: Mean and spread of the brightness of each frame (T, 2) [grey levels].
+        black: Frames that show nothing (T,).
     """
     found: dict[int, Kind] = {}
     t = track.t
     rows = np.flatnonzero(person)
     trunks = trunk_of(in_pixels(track))
     candidates: tuple[tuple[Kind, Iterable[int]], ...] = (
-        ("fade", _after_black(light)),
+        ("fade", _after_black(black)),
         ("cut", (row for row in shot_starts(change) if FEWEST <= row <= len(t) - FEWEST)),
         ("person", _jumps(t, rows, *trunks)),
     )
@@ -135,11 +135,10 @@ def _times(t: FloatArray, rows: list[int]) -> str:
     return ", ".join(f"{t[row]:.2f} s" for row in rows[:5]) + ", …" * (len(rows) > 5)
 
 
-def _after_black(light: FloatArray) -> IntArray:
+def _after_black(black: BoolArray) -> IntArray:
     """Return the first row with a picture after each black part that has a picture before it, too."""
-    black = (light[:, 0] < DARK) & (light[:, 1] < FLAT)
     starts = np.flatnonzero(black[:-1] & ~black[1:]) + 1
-    return starts[starts > np.argmin(black)] if not black.all() else starts[:0]
+    return starts[starts > np.argmin(black)]
 
 
 def _jumps(t: FloatArray, rows: IntArray, place: FloatArray, height: FloatArray) -> IntArray:

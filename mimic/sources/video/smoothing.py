@@ -53,3 +53,9 @@ def smooth(t: FloatArray, values: FloatArray, shots: IntArray, cutoff_hz: float)
         smoothed = sosfiltfilt(sos, on_grid, axis=0, padlen=min(9, len(grid) - 1))
         flat[rows] = smoothed if uniform else PchipInterpolator(grid, smoothed, axis=0)(times)
     return result
+
+
+def interpolated(times: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
+    """Return values (T, ...) at other times, linear between rows, constant beyond them."""
+    flat = values.reshape(len(t), -1)
+    return np.stack([np.interp(times, t, column) for column in flat.T], axis=1).reshape(len(times), *values.shape[1:])

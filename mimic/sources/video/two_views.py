@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from mimic.errors import SourceError
 from mimic.records import SIDES, BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.sources.video.smoothing import interpolated
 
 LATEST = 2.0
 """One clip starts at most this long after the other [s]."""
@@ -56,10 +57,9 @@ class Fit:
     """Time of the second clip less that of the first at the same moment [s]."""
     turn: FloatArray
     """From axes of the second camera to those of the first, times the ratio of their scales (3, 3)."""
-    apart: float
-    """Root mean square distance of the lines of both views [m]."""
     unlike: float
-    """The same over what ACROSS and DEPTH let expect, times its ratio to what is left at the likest of other times.
+    """What is left between the lines of both views over what ACROSS and DEPTH let expect, times its ratio to what is
+    left at the likest of other times.
 
     Source: 36 pairs of calibrated views of three people, and 116 of different motions (lab/results/depth.md).
     """
@@ -93,11 +93,11 @@ def merge_views(first: PoseTrack, second: PoseTrack, names: tuple[str, str]) -> 
     if np.isinf(unlike):
         raise SourceError(f"{names[0]} and {names[1]} never show the same arm at once; film both at the same time")
     other = _at(lines, second.t, first.t + delay)
-    fit = Fit(delay, turn, _apart(seen, other, turn), unlike**2 / _by_chance(seen, other))
+    fit = Fit(delay, turn, unlike**2 / _by_chance(seen, other))
     if fit.unlike > UNLIKE:
         raise SourceError(
-            f"{names[0]} and {names[1]} do not show the same motion: seen from the best angle, arms and trunk are "
-            f"{100 * fit.apart:.0f} cm apart; film one person with both at once, starting within {LATEST:g} s"
+            f"{names[0]} and {names[1]} do not show the same motion, from whatever angle; film one person with both at "
+            f"once, starting within {LATEST:g} s"
         )
     said = tuple(f"{names[1]}: {text}" for text in second.warnings)
     alone = ""
@@ -139,16 +139,9 @@ def _lines(track: PoseTrack) -> _Lines:
 
 def _at(lines: _Lines, t: FloatArray, times: FloatArray) -> _Lines:
     """Return lines at other times; beyond the clip they are not seen."""
+    xyz, spread, valid = (interpolated(times, t, values) for values in (lines.xyz, lines.spread, lines.valid + 0.0))
     inside = (times >= t[0]) & (times <= t[-1])
-    row = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
-    share = np.clip((times - t[row - 1]) / (t[row] - t[row - 1]), 0.0, 1.0)
-
-    def between(values: FloatArray) -> FloatArray:
-        weight = share.reshape(-1, *[1] * (values.ndim - 1))
-        return (1.0 - weight) * values[row - 1] + weight * values[row]
-
-    valid = lines.valid[row - 1] & lines.valid[row] & inside[:, None]
-    return _Lines(between(lines.xyz), between(lines.spread), valid)
+    return _Lines(xyz, spread, (valid == 1.0) & inside[:, None] & np.isfinite(xyz).all(axis=-1))
 
 
 def _delays(first: PoseTrack, second: PoseTrack) -> FloatArray:
@@ -202,12 +195,6 @@ def _turn(seen: _Lines, other: _Lines) -> tuple[FloatArray, float]:
     about = [np.array([0.0, angle, 0.0, 0.0]) for angle in np.linspace(-np.pi, np.pi, STARTS, endpoint=False)]
     best = min((minimize(cost, start) for start in about), key=lambda one: one.fun)
     return matrix(best.x), float(np.sqrt(best.fun / 3.0))
-
-
-def _apart(seen: _Lines, other: _Lines, turn: FloatArray) -> float:
-    """Return the root mean square distance of the lines of both views [m]."""
-    both = seen.valid & other.valid
-    return float(np.sqrt(((seen.xyz[both] - other.xyz[both] @ turn.T) ** 2).sum(axis=-1).mean()))
 
 
 def _by_chance(seen: _Lines, other: _Lines) -> float:

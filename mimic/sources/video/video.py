@@ -16,23 +16,24 @@ from mimic.config.pose import PoseSettings
 from mimic.errors import SourceError
 from mimic.io.store import plain, sha256_of
 from mimic.records import BoolArray, FloatArray, PoseTrack
-from mimic.sources.video.decoding import Video, missing_bytes, open_video, true_times
+from mimic.sources.video.decoding import Video, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
 from mimic.sources.video.pose_models.blazepose import BlazePose, Everybody
 from mimic.sources.video.pose_models.pose_model import BUNDLE, pose_model
-from mimic.sources.video.screening import is_invented, jump_share, person_rows, posture
-from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
+from mimic.sources.video.screening import MOST_JUMPS, SHORTEST, is_invented, jump_share, person_rows, posture
+from mimic.sources.video.shots import clothes_colour, describe, find_changes, is_black
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 15
+ALGORITHM = 17
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MAX_SWAP_SHARE = 0.05
 """A larger share of frames with swapped left and right gives a warning."""
-MIN_PERSON_SHARE = 0.8
-"""A smaller share of frames with a person gives a warning."""
+
+LACKING = 0.5
+"""Time at the end of a file without a picture that is reported [s]."""
 
 _DEFAULT = PoseSettings()
 
@@ -43,7 +44,7 @@ class _Detections:
 
     track: PoseTrack
     change: FloatArray
-    light: FloatArray
+    black: BoolArray
     clothes: FloatArray
     said: list[str]
     """What is to be said about the file and about several people in view."""
@@ -79,7 +80,7 @@ def track_video(
     raw = found.track
     person = person_rows(raw.score, settings.min_visibility)
     _check_person(raw, person, path.name, settings)
-    changes = find_changes(raw, person, found.clothes, found.change, found.light)
+    changes = find_changes(raw, person, found.clothes, found.change, found.black)
     other = np.zeros(len(raw.t), dtype=np.bool_)
     for row in (change.row for change in changes if change.other_person and settings.person is not None):
         lost = np.flatnonzero(np.isnan(raw.landmarks[row:, 0, 0]))  # then whoever is found was recognised
@@ -97,7 +98,7 @@ def track_video(
         swapped=swapped,
         shot=np.searchsorted(shots, np.arange(len(raw.t)), "right").astype(np.float64),
     )
-    warnings = (*found.said, *describe(changes, raw.t), *doubts(track, settings))
+    warnings = (*found.said, *describe(changes, raw.t), *doubts(track))
     for warning in warnings:
         log.info("%s: %s", path.name, warning)
     landmarks, image = (smooth(raw.t, column, shots, settings.cutoff_hz) for column in (landmarks, image))
@@ -111,10 +112,13 @@ def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
     It covers the content of the file (not its name), the settings, the model, and the versions of the detector and of
     this code.
     """
-    given = settings.pose_model
-    model = sha256_of(given) if given is not None and given.is_file() else BUNDLE
-    others = plain(replace(settings, pose_model=None, also=None))
-    parts = [sha256_of(path), others, model, f"mediapipe {version('mediapipe')}", ALGORITHM]
+    parts = [
+        sha256_of(path),
+        plain(replace(settings, also=None)),
+        BUNDLE,
+        f"mediapipe {version('mediapipe')}",
+        ALGORITHM,
+    ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
@@ -122,11 +126,11 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     """Run the detector over every frame."""
     stamps = []
     change = []
-    light = []
+    black = []
     clothes = []
     rows = []
     no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
-    model = pose_model(settings.pose_model)
+    model = pose_model()
     with open_video(path) as video, BlazePose(model) as detect, Everybody(model) as everybody:
         people = People(everybody, settings.person, path.name)
         if settings.person is not None:
@@ -141,7 +145,7 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
             landmarks, image, score = detect(shown) or no_person
             height, width = frame.rgb.shape[:2]
             rows.append((landmarks, people.in_picture(image, width, height), score))
-            light.append(lightness(frame.rgb))
+            black.append(is_black(frame.rgb))
             clothes.append(clothes_colour(frame.rgb, rows[-1][1]))
             people.saw(rows[-1][1], clothes[-1])
             if progress is not None:
@@ -152,9 +156,9 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     track = PoseTrack(
         t=t, landmarks=landmarks, image=image, score=score, valid=score > 0.0, size=video.size, swapped=nothing
     )
-    said = [*_file_warnings(path, video, len(t), repaired), *people.sentences()]
+    said = [*_file_warnings(video, np.array(stamps), repaired), *people.sentences()]
     track = _without(track, ~people.followed_rows())
-    return _Detections(track, np.array(change), np.array(light), np.array(clothes), said)
+    return _Detections(track, np.array(change), np.array(black), np.array(clothes), said)
 
 
 def _without(track: PoseTrack, rows: BoolArray) -> PoseTrack:
@@ -178,14 +182,14 @@ def _check_person(track: PoseTrack, rows: BoolArray, name: str, settings: PoseSe
         SourceError: If the clip is too short, or has too few such frames.
     """
     t = track.t
-    if t[-1] < settings.min_duration:
+    if t[-1] < SHORTEST:
         raise SourceError(
             f"{name} has {len(t)} frame{'s' * (len(t) > 1)} in {t[-1]:.2f} s, shorter than a sampling step; "
-            f"use a video of at least {settings.min_duration:g} s"
+            f"use a video of at least {SHORTEST:g} s"
         )
     if is_invented(track, rows):
         raise SourceError(
-            f"{name} shows no person: what is found has limbs and a size that change from frame to frame; "
+            f"{name} shows no person to follow: what is found has limbs and a size that change from frame to frame; "
             "film one whole person, without cuts, in a picture that is not squeezed"
         )
     share = float(rows.mean())
@@ -197,32 +201,30 @@ def _check_person(track: PoseTrack, rows: BoolArray, name: str, settings: PoseSe
         )
 
 
-def _file_warnings(path: Path, video: Video, frames: int, repaired: int) -> Iterator[str]:
-    if missing := missing_bytes(path):
-        yield f"the file is cut off, {missing} bytes short; the end may be missing: copy it again"
+def _file_warnings(video: Video, stamps_ms: FloatArray, repaired: int) -> Iterator[str]:
+    lacking = (video.end_ms - stamps_ms.max()) / 1e3
+    if lacking > LACKING:
+        yield f"the last {lacking:.1f} s of the file have no picture; if it was cut off, copy it again"
     if lost := video.damaged:
         yield (
             f"{len(lost)} frames are damaged and left out, at {min(lost):.2f} to {max(lost):.2f} s; what is between "
             "their neighbours is not what the person did: copy the file again"
         )
     if repaired:
-        yield f"{repaired} of {frames} time stamps do not increase; these frames got interpolated times"
+        yield f"{repaired} of {len(stamps_ms)} time stamps do not increase; these frames got interpolated times"
 
 
-def doubts(track: PoseTrack, settings: PoseSettings) -> Iterator[str]:
-    """Yield what makes a clip or a camera doubtful: a person seen seldom, jumps, exchanged sides, posture."""
+def doubts(track: PoseTrack) -> Iterator[str]:
+    """Yield what makes a clip or a camera doubtful: jumps, exchanged sides, posture."""
     swapped = track.swapped
-    person = float(person_rows(track.score, settings.min_visibility).mean())
-    jumps = jump_share(track, settings.max_jump)
-    if person < MIN_PERSON_SHARE:
-        yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
-    still = f"a wrist or the person still jumps in {jumps:.0%} of the frames"
-    if swapped.mean() > MAX_SWAP_SHARE:
+    jumps = jump_share(track)
+    swaps = int(swapped.sum())
+    if swaps > MAX_SWAP_SHARE * len(swapped):
         yield (
-            f"the detector swapped left and right in {swapped.sum()} of {len(swapped)} frames; this was corrected, but "
-            f"{still if jumps > settings.max_jump_share else 'errors may remain'}: film closer and in good light"
+            f"the detector swapped left and right in {swaps} of {len(swapped)} frames; this was corrected, but errors "
+            "may remain: film closer and in good light"
         )
-    elif jumps > settings.max_jump_share:
+    if jumps > MOST_JUMPS:
         yield (
             f"the person or a wrist jumps in {jumps:.0%} of the frames, as where arms are hard to see or several "
             "people are; use a clip of one person from the front or a three-quarter view"

@@ -338,7 +338,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
             f"{int(odd.sum())} rows ({odd.mean():.1%}) were answered at another time than the others; left out"
         )
     if (unseen := gone | odd).any():
-        log = filled(log, unseen)
+        log = filled(log, unseen).part(np.cumsum(~unseen) > 0)  # from the first reading on, where filters begin
     back = np.flatnonzero(np.diff(log.t) < 0)
     if len(back):
         i = int(back[0])

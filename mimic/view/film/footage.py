@@ -10,8 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from mimic.errors import SourceError
-from mimic.records import FloatArray
+from mimic.sources.video.decoding import open_video
 
 Progress = Callable[[int, int | None], None]
 """Called with the steps done and the total, if known."""
@@ -24,19 +23,8 @@ quality 40: 39.0 dB).
 """
 
 
-def frame_stamps(path: Path) -> FloatArray:
-    """Return the time stamps of the frames in the file (F,) [s].
-
-    Raises:
-        SourceError: If no frame can be decoded.
-    """
-    return np.array([stamp for stamp, _ in _frames(path, lambda _: None)])
-
-
-def read_frames(
-    path: Path, *, width: int | None = None, height: int | None = None
-) -> Iterator[tuple[float, np.ndarray]]:
-    """Yield the time stamp [s] and the upright picture (H, W, 3), RGB, of each frame.
+def read_frames(path: Path, *, width: int | None = None, height: int | None = None) -> Iterator[np.ndarray]:
+    """Yield the upright picture (H, W, 3), RGB, of each frame: those that a pose track of the video has rows of.
 
     Args:
         width: Maximum width; narrower pictures keep their size.
@@ -47,37 +35,14 @@ def read_frames(
     """
     import cv2
 
-    def picture(bgr: np.ndarray) -> np.ndarray:
-        scale = height / bgr.shape[0] if height else min(1.0, (width or bgr.shape[1]) / bgr.shape[1])
-        size = tuple(max(2, 2 * round(scale * side / 2)) for side in bgr.shape[1::-1])
-        if size != bgr.shape[1::-1]:
-            bgr = cv2.resize(bgr, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-        return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
-
-    for stamp, rgb in _frames(path, picture):
-        assert rgb is not None
-        yield stamp, rgb
-
-
-def _frames(
-    path: Path, picture: Callable[[np.ndarray], np.ndarray | None]
-) -> Iterator[tuple[float, np.ndarray | None]]:
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read by OpenCV when first used
-    import cv2
-
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    try:
-        some = False
-        while True:
-            ok, bgr = capture.read()
-            if not ok:
-                break
-            some = True
-            yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, picture(bgr)
-        if not some:
-            raise SourceError(f"no picture can be read from {path}; give the video of the run")
-    finally:
-        capture.release()
+    with open_video(path) as video:
+        for frame in video:
+            rgb = frame.rgb
+            scale = height / rgb.shape[0] if height else min(1.0, (width or rgb.shape[1]) / rgb.shape[1])
+            size = tuple(max(2, 2 * round(scale * side / 2)) for side in rgb.shape[1::-1])
+            if size != rgb.shape[1::-1]:
+                rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+            yield rgb
 
 
 def encode_av1(frames: Iterable[np.ndarray], path: Path) -> None:

@@ -24,11 +24,9 @@ from mimic.view.scene.timing import (
     TIME_TOLERANCE,
     camera_path,
     frame_numbers,
-    frame_times,
     initial_heading,
     nearest,
     shared_time,
-    slowed_down,
 )
 from mimic.view.scene.viewpoint import seen_from
 
@@ -128,7 +126,6 @@ def save_video(
     targets: TargetTrack | None = None,
     pose: PoseTrack | None = None,
     video: Path | None = None,
-    stamps: FloatArray | None = None,
     fps: int = 30,
     height: int = 480,
     made_by: Provenance | None = None,
@@ -143,8 +140,7 @@ def save_video(
         path: File to write.
         log: Log of the robot.
         targets: Also shows the targets before clamping, as small white balls.
-        video: The video of ``pose``; without it, the film shows only the robot.
-        stamps: Time stamps of the video frames (F,) [s], if known; avoids another decoding pass.
+        video: The video of ``pose``; without both, the film shows only the robot.
         fps: Frames per second of the film.
         height: Height of the film [px].
         made_by: Stored as JSON in the film's comment.
@@ -159,8 +155,7 @@ def save_video(
     times = clock[0] + np.arange(max(1, round((clock[-1] - clock[0]) * fps))) / fps
     ticks = nearest(clock, times)
     errors = 100 * np.linalg.norm(log.p_BE - log.p_BE_des, axis=-1)
-    slow = slowed_down(targets)
-    video_frames = None if video is None else _video_frames(video, pose, times, height, stamps, slow)
+    video_frames = None if video is None or pose is None else _video_frames(video, pose, times, height)
 
     band = text_band(height)
 
@@ -178,21 +173,18 @@ def save_video(
         footage.encode_h264(frames(), part, fps=Fraction(fps), comment=json.dumps(plain(made_by)) if made_by else "")
 
 
-def _video_frames(
-    video: Path, pose: PoseTrack | None, times: FloatArray, height: int, stamps: FloatArray | None, slow_down: float
-) -> Iterator[np.ndarray]:
+def _video_frames(video: Path, pose: PoseTrack, times: FloatArray, height: int) -> Iterator[np.ndarray]:
     """Yield the video frame at each of the times [s], overlaid with the skeleton."""
-    t = frame_times(footage.frame_stamps(video) if stamps is None else stamps, pose, slow_down)
-    on = np.clip(np.searchsorted(t, times + TIME_TOLERANCE, side="right") - 1, 0, len(t) - 1)
+    on = np.clip(np.searchsorted(pose.t, times + TIME_TOLERANCE, side="right") - 1, 0, len(pose.t) - 1)
     frames = footage.read_frames(video, height=height)
     at = -1
     picture = None
     for row in on:
         while at < row:
-            _, picture = next(frames)
+            picture = next(frames)
             at += 1
-            if at == row and pose is not None:
-                _draw_skeleton(picture, pose, int(nearest(pose.t, t[row : row + 1])[0]))
+            if at == row:
+                _draw_skeleton(picture, pose, at)
         assert picture is not None
         yield picture
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import tempfile
-import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mimic.records import FloatArray
 from mimic.view.film.footage import Progress, encode_av1, read_frames
 
 VIDEO_WIDTH = 640
@@ -28,8 +27,6 @@ class Clip:
 
     path: Path
     """AV1 in MP4, one frame per decoded frame of the source."""
-    stamps: FloatArray
-    """Time stamps of the frames in the source (F,) [s]."""
     size: tuple[int, int]
     """Width and height of the upright picture [px]."""
 
@@ -46,12 +43,11 @@ class Footage(AbstractContextManager["Footage"]):
 
         self.video = video
         self._folder = tempfile.TemporaryDirectory(prefix="mimic-footage-")
-        self._stamps: list[float] = []
+        self._done = 0
         self._size = (0, 0)
-        self._error: Exception | None = None
-        self._cancelled = threading.Event()
-        self._thread = threading.Thread(target=self._encode, name=f"footage of {video.name}")
-        self._thread.start()
+        self._cancelled = False
+        self._thread = ThreadPoolExecutor(1, f"footage of {video.name}")
+        self._encoded = self._thread.submit(encode_av1, self._pictures(), self._path)
 
     @property
     def _path(self) -> Path:
@@ -67,34 +63,28 @@ class Footage(AbstractContextManager["Footage"]):
         Raises:
             SourceError: If the video cannot be decoded.
         """
-        while self._thread.is_alive():
-            self._thread.join(_REPORT_EVERY)
+        while wait([self._encoded], _REPORT_EVERY).not_done:
             if progress is not None:
-                progress(len(self._stamps), total)
-        if self._error is not None:
-            raise self._error
-        return Clip(path=self._path, stamps=np.array(self._stamps), size=self._size)
+                progress(self._done, total)
+        self._encoded.result()
+        if progress is not None:
+            progress(self._done, total)
+        return Clip(path=self._path, size=self._size)
 
     def close(self) -> None:
         """Stop encoding and remove the file."""
-        self._cancelled.set()
-        self._thread.join()
+        self._cancelled = True
+        self._thread.shutdown()
         self._folder.cleanup()
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _encode(self) -> None:
-        try:
-            encode_av1(self._pictures(), self._path)
-        except Exception as error:  # raised again in the thread that calls clip()
-            self._error = error
-
     def _pictures(self) -> Iterator[np.ndarray]:
-        for stamp, rgb in read_frames(self.video, width=VIDEO_WIDTH):
-            if self._cancelled.is_set():
+        for rgb in read_frames(self.video, width=VIDEO_WIDTH):
+            if self._cancelled:
                 return
-            self._stamps.append(stamp)
+            self._done += 1
             self._size = rgb.shape[1], rgb.shape[0]
             yield rgb
 

@@ -20,7 +20,7 @@ from mimic.view.scene import layout, plots
 from mimic.view.scene.footage import Clip, Footage, start_footage
 from mimic.view.scene.person import draw_person
 from mimic.view.scene.robot_drawing import draw_robot
-from mimic.view.scene.timing import frame_times, hold_first_row, initial_heading, shared_time, slowed_down
+from mimic.view.scene.timing import hold_first_row, initial_heading, shared_time
 from mimic.view.scene.viewpoint import seen_from
 
 
@@ -64,14 +64,13 @@ def save_scene(
         seen: layout.PersonView | None = None if pose is None else "whole" if feet_seen(pose) else "upper"
         camera = initial_heading(log) + seen_from(pose, targets)
         shown = layout.blueprint(description, span=(start, float(clock[-1])), camera=camera, video=size, person=seen)
-        stamps = None if clip is None else frame_times(clip.stamps, pose, slowed_down(targets))
-        frames = stamps if pose is None else pose.t
+        frames = None if pose is None else pose.t
         with _recording() as scene:
             scene.save(part, default_blueprint=shown)
             if made_by is not None:
                 scene.send_property("provenance", rr.AnyValues(json=json.dumps(plain(made_by))))
-            if clip is not None and stamps is not None:
-                _video(scene, clip, stamps, start)
+            if clip is not None and frames is not None:
+                _video(scene, clip, frames, start)
             if pose is not None:
                 draw_person(scene, pose, size, start)
             draw_robot(scene, log, description, targets, frames)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mimic.geometry import heading_from_quat
-from mimic.records import PHASES, FloatArray, IntArray, PoseTrack, RunLog, TargetTrack
+from mimic.records import PHASES, FloatArray, IntArray, RunLog
 
 TRACK = PHASES.index("track")
 TIME_TOLERANCE = 1e-3
@@ -35,19 +35,6 @@ def shared_time(log: RunLog) -> FloatArray:
     return log.t - log.t[tracking[0] if len(tracking) else 0]
 
 
-def frame_times(stamps: FloatArray, pose: PoseTrack | None, slow_down: float = 1.0) -> FloatArray:
-    """Return the time of each decoded frame since the first one (F,) [s], never decreasing.
-
-    Args:
-        stamps: Time stamps of the frames in the file (F,) [s].
-        pose: Track of the same video; its times are preferred, because stamps that run backwards are corrected.
-        slow_down: How many times slower than the file the motion is played.
-    """
-    if pose is not None and len(pose.t) == len(stamps):
-        return pose.t
-    return slow_down * np.maximum.accumulate(stamps - stamps[0]) if len(stamps) else stamps
-
-
 def frame_numbers(t: FloatArray, frames: FloatArray) -> IntArray:
     """Return the number of the video frame at each time [s]; it goes on evenly before and after the video.
 
@@ -61,11 +48,6 @@ def frame_numbers(t: FloatArray, frames: FloatArray) -> IntArray:
     after = np.floor((t - frames[-1]) / step)
     number = np.where(t < frames[0], before, number)
     return np.where(t > frames[-1], len(frames) - 1 + after, number).astype(np.int64)
-
-
-def slowed_down(targets: TargetTrack | None) -> float:
-    """Return how many times slower than its source a motion is played."""
-    return 1.0 if targets is None else float(targets.report.get("slow_down", 1.0))
 
 
 def hold_first_row(t: FloatArray, start: float) -> tuple[FloatArray, IntArray]:

@@ -26,7 +26,7 @@ WAVING = Path(__file__).parents[3] / "examples" / "videos" / "waving.mp4"
 def run(tmp_path_factory) -> Path:
     """The run folder of two seconds of waving."""
     folder = tmp_path_factory.mktemp("camera")
-    frames = itertools.islice((rgb for _, rgb in read_frames(WAVING)), 60)
+    frames = itertools.islice(read_frames(WAVING), 60)
     encode_h264(frames, folder / "short.mp4", fps=Fraction(30))
     quick = ["--config", str(TESTS / "quick.toml")]
     assert main(["--camera", str(folder / "short.mp4"), "--sim", "--no-view", "-o", str(folder / "run"), *quick]) == 0

@@ -8,7 +8,7 @@ import cv2
 import pytest
 
 from mimic.cli import main
-from mimic.view.film.footage import frame_stamps
+from mimic.view.film.footage import read_frames
 
 SHORT = ["lead", "--way", "0.4", "--begin", "2.5", "--after", "2"]
 
@@ -19,7 +19,7 @@ def test_a_robot_is_led_and_filmed(tmp_path, capsys):
     assert main([*SHORT, "--video", str(film)]) == 0
     said = capsys.readouterr()
     assert "followed the hand" in said.out + said.err
-    assert len(frame_stamps(film)) == pytest.approx(30 * 6.5, abs=6)
+    assert len(list(read_frames(film))) == pytest.approx(30 * 6.5, abs=6)
     video, yellow = cv2.VideoCapture(str(film)), []
     while (read := video.read())[0]:
         blue, green, red = (channel.astype(int) for channel in cv2.split(read[1]))

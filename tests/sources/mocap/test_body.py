@@ -280,11 +280,11 @@ BONES = {
 }
 
 
-def skeleton(path: Path, *, moved: bool | None, angle: float) -> PoseTrack:
+def skeleton(path: Path, *, moved: bool | None, angle: float, scale: float = 1.0) -> PoseTrack:
     """A skeleton whose left arm turns; positions below the root take the place of offsets, are added (True) or lack."""
 
     def joint(name: str) -> str:
-        offset = " ".join(map(str, BONES[name][1]))
+        offset = " ".join(str(scale * x) for x in BONES[name][1])
         places = "Xposition Yposition Zposition " if moved is not None or name == "Hips" else ""
         children = "".join(joint(child) for child, (parent, _) in BONES.items() if parent == name)
         kind = "ROOT" if BONES[name][0] is None else "JOINT"
@@ -327,3 +327,17 @@ def test_a_skeleton_whose_positions_are_displacements_is_a_body():
 def test_angles_that_are_radians_are_told(angle, said, tmp_path):
     track = skeleton(tmp_path / "a.bvh", moved=None, angle=angle)
     assert any("if these are radians" in text for text in track.warnings) == said
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("inches", 0.0254), ("CMU's unit", 0.05644)]
+)
+def test_a_skeleton_is_in_a_unit_that_such_files_have(unit, metres, tmp_path):
+    track = skeleton(tmp_path / "a.bvh", moved=None, angle=30.0, scale=0.01 / metres)
+    assert any(f"in {unit} by the length of the arms" in text for text in track.warnings)
+
+
+@pytest.mark.parametrize("scale", [0.003, 0.04, 3.0, 30.0])
+def test_a_skeleton_in_no_unit_that_such_files_have_is_refused(scale, tmp_path):
+    with pytest.raises(SourceError, match=r"expected 0\.25 to 1 m, in m or cm or mm or inches or CMU's unit"):
+        skeleton(tmp_path / "a.bvh", moved=None, angle=30.0, scale=scale)

@@ -23,15 +23,13 @@ MARKERS = {
 ROWS = 50
 
 
-def write(path: Path, *, units: str = "mm", names: list[str] | None = None, screen: str = "", people: int = 1) -> Path:
+def write(path: Path, *, units: str = "mm", names: list[str] | None = None, people: int = 1) -> Path:
     ezc3d = pytest.importorskip("ezc3d", reason="writes the file; needs the extra 'c3d'")
     file = ezc3d.c3d()
     file["parameters"]["POINT"]["UNITS"]["value"] = [units]
     file["parameters"]["POINT"]["RATE"]["value"] = [100]
     people_names = [f"P{n + 1}:{name}" for n in range(people) for name in MARKERS]
     file["parameters"]["POINT"]["LABELS"]["value"] = names or (list(MARKERS) if people == 1 else people_names)
-    if screen:
-        file.add_parameter("POINT", "Y_SCREEN", [screen])
     points = np.ones((4, len(MARKERS), ROWS))
     points[:3] = np.array(list(MARKERS.values()), dtype=float).T[:, :, None]
     points[2, list(MARKERS).index("LWRA"), :] += 100.0 * np.linspace(0, 1, ROWS)
@@ -50,13 +48,6 @@ def test_markers_of_a_c3d_file_become_a_person_in_metres(tmp_path):
     assert arm[1] == pytest.approx(0.32, abs=0.003)  # down
     assert not track.valid[10:20, track.index("right_elbow")].any()
     assert any("read as plug-in gait, z up, in mm" in text for text in track.warnings)
-
-
-@pytest.mark.parametrize(("screen", "said"), [("+Z", False), ("-Z", True), ("+Y", True), ("", False)])
-def test_the_trunk_is_believed_before_the_axis_of_the_screen(screen, said, tmp_path):
-    track = track_mocap(write(tmp_path / "walk.c3d", screen=screen), MocapSettings(), PoseSettings())
-    assert track.landmarks[0, track.index("left_ankle"), 1] > 0.5
-    assert any("the trunk is believed" in text for text in track.warnings) == said
 
 
 def test_several_people_are_said_and_one_can_be_chosen(tmp_path):

@@ -197,7 +197,6 @@ BAD_NPZ = {
     "expected numbers (T, N, 3)": {"points": np.zeros((ROWS, 14))},
     "names for": {"names": ["left_wrist"]},
     "visibilities": {"visibility": np.ones(ROWS)},
-    "'up'": {"up": "north"},
     "a time for each row": {"t": np.zeros(3)},
     "has no times": {"t": None},
     "do not increase": {"t": np.r_[T[:5], T[:-5]]},

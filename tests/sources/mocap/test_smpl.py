@@ -138,7 +138,7 @@ def test_gvhmr_is_read_from_a_file_of_pytorch(tmp_path):
     torch.save(results, tmp_path / "hmr4d_results.pt")
     track = read(tmp_path / "hmr4d_results.pt", fps=30)
     np.testing.assert_allclose(arm(track, "left"), UP, atol=1e-6)
-    assert track.warnings[0] == "parameters of GVHMR or GEM-X"
+    assert track.warnings[0] == "parameters of the SMPL family"
     with pytest.raises(SourceError, match=r"no frame rate; .* \[mocap\] fps"):
         read(tmp_path / "hmr4d_results.pt")
 
@@ -248,13 +248,14 @@ BAD = {
     "others": (pickle.dumps({"a": 1}), "holds a; expected what GVHMR"),
     "deep": (b"\x80\x04" + b"]" * 100_000 + b"a" * 99_999 + b".", "holds list; expected what GVHMR"),
     "a zip": (b"PK\x03\x04" + bytes(100), "a reference to another file"),
-    "wide": (pickle.dumps({"poses": np.zeros((9, 70))}), "shape .9, 70.; expected .T, W. with a width W of 66"),
+    "wide": (pickle.dumps({"poses": np.zeros((9, 70))}), "shape .9, 70.; expected axis angles .T, 3 N."),
+    "no pelvis": (pickle.dumps({"poses": np.zeros((9, 69)), "fps": 30}), "whose number is 22 .the body., 24 .SMPL."),
     "text for numbers": (pickle.dumps({"poses": np.array([["a"] * 72])}), "expected axis angles"),
     "no number": (pickle.dumps({"poses": np.full((9, 72), np.nan), "fps": 30}), "not a number in row 1"),
     "no rate": (pickle.dumps({"poses": np.zeros((9, 72)), "fps": -3}), "the frame rate -3"),
     "unequal": (
         pickle.dumps({"global_orient": np.zeros((9, 3)), "body_pose": np.zeros((8, 63)), "fps": 30}),
-        "expected .T, 3. and .T, 63.",
+        "global_orient. .9, 3. and .body_pose. .8, 63.; expected T rows of joints whose number is 22",
     ),
 }
 

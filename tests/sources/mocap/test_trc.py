@@ -127,5 +127,5 @@ def test_joint_angles_of_opencap_are_named_and_refused(tmp_path, capsys):
     text = "Coordinates\nversion=1\nnRows=1\nnColumns=2\nendheader\ntime\tpelvis_tilt\n0\t1\n"
     (tmp_path / "walk.mot").write_text(text)
     assert main(["retarget", str(tmp_path / "walk.mot"), "-o", str(tmp_path / "t.parquet")]) == 2
-    assert "OpenSim joint angles" in "".join(capsys.readouterr())
+    assert "export its motion as C3D or TRC" in "".join(capsys.readouterr())
     assert [found.name for found in tmp_path.iterdir()] == ["walk.mot"]

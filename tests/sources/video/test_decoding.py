@@ -84,6 +84,28 @@ def test_a_picture_that_its_file_turns_is_upright(turn, size, tmp_path):
     assert (y > 0.5, x > 0.5) == ((turn == 180), True)
 
 
+@pytest.mark.parametrize("ending", ["mp4", "avi", "mkv"])
+def test_a_file_that_is_cut_off_says_when_it_would_end(ending, tmp_path):
+    path = of_h264(tmp_path / f"a.{ending}")
+    whole = path.read_bytes()
+    if ending == "mp4":  # its index comes first
+        with (
+            av.open(str(path)) as given,
+            av.open(str(tmp_path / "b.mp4"), "w", options={"movflags": "faststart"}) as to,
+        ):
+            stream = to.add_stream_from_template(given.streams.video[0])
+            for packet in given.demux(video=0):
+                if packet.dts is not None:
+                    packet.stream = stream
+                    to.mux(packet)
+        whole = (tmp_path / "b.mp4").read_bytes()
+    for data, cut in ((whole, False), (whole[: 3 * len(whole) // 4], True)):
+        path.write_bytes(data)
+        with open_video(path) as video:
+            last = [frame.stamp_ms for frame in video][-1]
+        assert (video.end_ms - last > 60.0) == cut
+
+
 def test_pictures_are_rgb(tmp_path):
     with open_video(written(tmp_path / "red.mp4")) as video:
         red, green, blue = next(iter(video)).rgb.reshape(-1, 3).mean(axis=0)

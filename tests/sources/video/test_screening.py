@@ -12,6 +12,8 @@ def standing(rows: int = 100) -> PoseTrack:
     """A person of 300 px to the metre who stands still."""
     landmarks = np.zeros((rows, 33, 3))
     places = {"shoulder": (0.18, -0.5, 0), "wrist": (0.3, 0, 0), "hip": (0.1, 0, 0), "knee": (0.1, 0.4, 0)}
+    places |= {"ear": (0.08, -0.7, 0), "eye": (0.03, -0.72, 0)}
+    landmarks[:, [LANDMARKS.index("mouth_left"), LANDMARKS.index("mouth_right")]] = (0, -0.63, 0)
     for name, place in places.items():
         landmarks[:, LANDMARKS.index(f"left_{name}")] = place
         landmarks[:, LANDMARKS.index(f"right_{name}")] = np.array(place) * (-1, 1, 1)
@@ -47,17 +49,17 @@ def test_a_single_large_change_is_a_cut_and_steady_motion_is_not():
 
 
 def test_standing_still_has_no_jumps():
-    assert jump_share(standing(), 0.25) == 0.0
+    assert jump_share(standing()) == 0.0
 
 
 def test_walking_across_the_picture_is_no_jump_and_hopping_about_is():
     track = standing()
     right = np.array([1.0, 0.0])
     walking = track.image + np.linspace(0, 0.5, 100)[:, None, None] * right
-    assert jump_share(replace(track, image=walking), 0.25) == 0.0
+    assert jump_share(replace(track, image=walking)) == 0.0
     hops = np.where(np.arange(100) // 10 % 2, 0.3, 0.0)
     hopping = track.image + hops[:, None, None] * right
-    assert jump_share(replace(track, image=hopping), 0.25) == 9 / 99
+    assert jump_share(replace(track, image=hopping)) == 9 / 99
 
 
 def test_a_wrist_elsewhere_counts_only_where_it_is_seen():
@@ -65,17 +67,17 @@ def test_a_wrist_elsewhere_counts_only_where_it_is_seen():
     wrist = LANDMARKS.index("left_wrist")
     landmarks, valid = track.landmarks.copy(), track.valid.copy()
     landmarks[50, wrist] += 0.5
-    assert jump_share(replace(track, landmarks=landmarks), 0.25) == 2 / 99
+    assert jump_share(replace(track, landmarks=landmarks)) == 2 / 99
     valid[50, wrist] = False
-    assert jump_share(replace(track, landmarks=landmarks, valid=valid), 0.25) == 0.0
+    assert jump_share(replace(track, landmarks=landmarks, valid=valid)) == 0.0
 
 
 def test_frames_far_apart_may_move_further():
     landmarks = standing().landmarks.copy()
     landmarks[::2, LANDMARKS.index("left_wrist")] += (0.4, 0, 0)
     track = replace(standing(), landmarks=landmarks)
-    assert jump_share(track, 0.25) == 1.0
-    assert jump_share(replace(track, t=track.t * 3), 0.25) == 0.0
+    assert jump_share(track) == 1.0
+    assert jump_share(replace(track, t=track.t * 3)) == 0.0
 
 
 def test_a_person_on_their_head_lying_or_squeezed_is_noticed():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimic.records import LANDMARKS, PoseTrack
-from mimic.sources.video.shots import Change, clothes_colour, describe, find_changes, lightness
+from mimic.sources.video.shots import Change, clothes_colour, describe, find_changes, is_black
 
 SIZE = (640, 480)
 ROWS, AT = 90, 45
@@ -18,7 +18,7 @@ class Clip:
 
     def __init__(self) -> None:
         self.t = np.arange(ROWS) / 30
-        self.change, self.light = np.full(ROWS, 1.0), np.tile([110.0, 50.0], (ROWS, 1))
+        self.change, self.black = np.full(ROWS, 1.0), np.zeros(ROWS, dtype=bool)
         self.image, self.clothes = np.full((ROWS, 33, 2), 0.5), np.tile(BLUE, (ROWS, 1))
         self.person = np.ones(ROWS, dtype=bool)
         self.place(slice(None), 0.5, 1.0)
@@ -36,7 +36,7 @@ class Clip:
             t=self.t, landmarks=np.zeros((ROWS, 33, 3)), image=self.image, score=score, valid=score > 0.5,
             swapped=np.zeros(ROWS, dtype=bool), size=SIZE,
         )  # fmt: skip
-        return find_changes(track, self.person, self.clothes, self.change, self.light)
+        return find_changes(track, self.person, self.clothes, self.change, self.black)
 
 
 def test_a_person_who_stands_or_walks_is_one_person():
@@ -60,7 +60,7 @@ def test_a_cut_says_whether_the_clothes_are_other_ones():
 
 def test_a_last_frame_without_a_picture_is_no_cut():
     clip = Clip()
-    clip.change[-1], clip.light[-1] = 60.0, (3.0, 1.0)
+    clip.change[-1], clip.black[-1] = 60.0, True
     clip.person[-1] = False
     assert clip.changes() == ()
 
@@ -85,21 +85,15 @@ def test_what_is_found_and_lost_in_turn_is_no_other_person():
 
 def test_a_fade_through_black_is_a_change_and_a_dark_start_or_end_is_none():
     clip = Clip()
-    clip.light[:5] = clip.light[-5:] = (3.0, 1.0)
+    clip.black[:5] = clip.black[-5:] = True
     assert clip.changes() == ()
-    clip.light[AT - 4 : AT] = (3.0, 1.0)
+    clip.black[AT - 4 : AT] = True
     clip.person[AT - 6 : AT + 2] = False
     clip.clothes[AT - 10 : AT + 10] = (10.0, 0.0, 0.0)  # dimmed
     assert clip.changes() == (Change(AT, "fade", False),)
     clip.clothes[AT + 10 :] = RED
     assert clip.changes() == (Change(AT, "fade", True),)
     assert "a fade through black at 1.50 s" in next(describe(clip.changes(), clip.t))
-
-
-def test_a_dark_room_is_no_fade():
-    clip = Clip()
-    clip.light[:] = (20.0, 15.0)
-    assert clip.changes() == ()
 
 
 def test_another_person_in_the_same_picture_is_found_by_place_size_and_clothes():
@@ -148,8 +142,10 @@ def test_clothes_are_read_from_the_trunk_only():
     assert np.isnan(clothes_colour(picture, np.full((33, 2), np.nan))).all()
 
 
-def test_a_black_picture_is_dark_and_flat_and_another_is_not():
-    assert lightness(np.zeros((480, 640, 3), dtype=np.uint8)) == (0.0, 0.0)
-    mean, spread = lightness(np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8))
-    assert mean > 100
-    assert spread > 20
+def test_a_black_picture_is_black_and_a_dark_room_and_another_are_not():
+    noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)
+    assert is_black(np.zeros((480, 640, 3), dtype=np.uint8))
+    assert not is_black(noise)
+    room = np.zeros((480, 640, 3), dtype=np.uint8)
+    room[:, 400:] = 40
+    assert not is_black(room)

@@ -129,9 +129,7 @@ def test_a_view_that_shows_arms_otherwise_is_not_used_and_a_note_says_so():
 
 
 def test_videos_of_different_motions_are_refused_in_one_line():
-    with pytest.raises(
-        SourceError, match=r"^front\.mp4 and other\.mp4 do not show the same motion.* cm apart"
-    ) as error:
+    with pytest.raises(SourceError, match=r"^front\.mp4 and other\.mp4 do not show the same motion") as error:
         merge_views(FRONT, seen_by(SIDE, T, person(T, seed=5)), ("front.mp4", "other.mp4"))
     assert "\n" not in str(error.value)
 

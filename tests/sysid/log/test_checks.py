@@ -153,6 +153,13 @@ def test_some_nan_rows_are_left_out_and_many_refused(log: JointLog) -> None:
         check_log(broken(slice(0, 4000)))
 
 
+def test_a_log_begins_with_its_first_reading(log: JointLog) -> None:
+    unread = changed(log, "q", "knee", lambda x: np.where(np.arange(len(x)) < 3, 9999.0, x))
+    facts = check_log(unread)
+    assert facts.log.t[0] == log.t[3]
+    assert valid_samples(facts.log).all()
+
+
 def test_rows_without_a_target_are_left_out(log: JointLog) -> None:
     facts = check_log(changed(log, "q_des", "knee", lambda x: np.where(np.arange(len(x)) == 300, np.nan, x)))
     assert len(facts.log.t) == len(log.t) - 1

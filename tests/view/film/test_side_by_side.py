@@ -6,6 +6,7 @@ import pytest
 
 from mimic.records import PoseTrack, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
+from mimic.sources.video.decoding import open_video
 from mimic.view.film.footage import read_frames
 from mimic.view.film.offscreen import NoOffscreenGL
 from mimic.view.film.side_by_side import RobotFilm, save_video, text_band, write_texts
@@ -61,12 +62,12 @@ def test_film_shows_the_person_waiting_and_then_in_step(
     frames = list(read_frames(path))
     clock = shared_time(log)
     assert len(frames) == len(done) == done[-1][1] == round((clock[-1] - clock[0]) * FPS)
-    assert frames[0][1].shape == (HEIGHT, 96 + HEIGHT, 3)
-    edge = frames[0][1][HEIGHT - text_band(HEIGHT) + 1, 96 + 2 :]
+    assert frames[0].shape == (HEIGHT, 96 + HEIGHT, 3)
+    edge = frames[0][HEIGHT - text_band(HEIGHT) + 1, 96 + 2 :]
     assert edge.std(axis=0).max() < 2  # the text has a band of its own: nothing of the robot is under it
-    stamps = np.array([stamp for stamp, _ in frames])
-    np.testing.assert_allclose(np.diff(stamps), 1 / FPS, atol=1e-3)
-    grey = np.array([rgb[:6, :10].mean() for _, rgb in frames])
+    with open_video(path) as film:
+        np.testing.assert_allclose(np.diff([frame.stamp_ms for frame in film]), 1e3 / FPS, atol=1)
+    grey = np.array([rgb[:6, :10].mean() for rgb in frames])
     moments = clock[0] + np.arange(len(frames)) / FPS
     shown = np.searchsorted(pose.t, moments + 1e-3, side="right") - 1
     np.testing.assert_allclose(grey, 10 + 10 * np.maximum(shown, 0), atol=4)

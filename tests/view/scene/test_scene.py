@@ -125,7 +125,7 @@ def test_nothing_is_left_of_a_scene_that_fails(
 
     with pytest.raises(KeyboardInterrupt):
         save_scene(tmp_path / "scene.rrd", log=log, description=description, video=video, progress=stop)
-    with pytest.raises(SourceError, match="no picture"):
+    with pytest.raises(SourceError, match="there is no file"):
         save_scene(tmp_path / "scene.rrd", log=log, description=description, video=tmp_path / "none.mp4")
     assert list(tmp_path.iterdir()) == []
 

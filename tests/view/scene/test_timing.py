@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mimic.records import PHASES, PoseTrack, RunLog
-from mimic.view.scene.timing import camera_path, frame_numbers, frame_times, hold_first_row, nearest, shared_time
+from mimic.records import PHASES, RunLog
+from mimic.view.scene.timing import camera_path, frame_numbers, hold_first_row, nearest, shared_time
 
 
 def test_zero_is_the_first_tick_of_tracking(log: RunLog) -> None:
@@ -11,14 +11,6 @@ def test_zero_is_the_first_tick_of_tracking(log: RunLog) -> None:
     assert clock[first] == 0.0
     assert clock[0] == pytest.approx(-first * 0.02)
     np.testing.assert_allclose(np.diff(clock), np.diff(log.t))
-
-
-def test_times_of_the_track_are_preferred_to_stamps_of_the_file(pose: PoseTrack) -> None:
-    np.testing.assert_array_equal(frame_times(np.arange(len(pose.t)) / 20, pose), pose.t)
-
-
-def test_stamps_start_at_zero_and_never_run_back_when_the_track_is_of_something_else(pose: PoseTrack) -> None:
-    np.testing.assert_allclose(frame_times(np.array([0.5, 0.6, 0.55, 0.8]), pose), [0.0, 0.1, 0.1, 0.3])
 
 
 def test_nearest_row_of_each_time() -> None:

@@ -54,8 +54,8 @@ class _Landmarker:
                 self._pose: Any = vision.PoseLandmarker.create_from_options(options)
             except (RuntimeError, ValueError, OSError) as reason:
                 raise AssetError(
-                    f"mediapipe cannot use the pose model {self._model} ({str(reason).splitlines()[0]}); give a .task "
-                    "file of a pose landmarker, or remove it if it is the cached one"
+                    f"mediapipe cannot use the pose model {self._model} ({str(reason).splitlines()[0]}); remove it: it "
+                    "is made anew"
                 ) from None
         return self
 

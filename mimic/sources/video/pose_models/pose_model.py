@@ -4,8 +4,8 @@ mediapipe 0.10.14 is the last release whose wheel carries the models of the dete
 ones carry none. So its wheel comes once from the package registry that pip or uv is set up with. The two models are
 taken out of it by name, checked by SHA-256, and stored in a zip (a ``.task`` file).
 
-The landmark model lacks one thing that the Tasks API asks for: how pictures are normalised. It is added as TFLite
-metadata; weights and graph stay as they are.
+The landmark model lacks one thing that the Tasks API asks for: how pictures are normalised. assets/pose/landmarks.head,
+which lab/people/pose_head.py makes, goes before it and says so; weights and graph stay as they are.
 """
 
 from __future__ import annotations
@@ -14,18 +14,14 @@ import fcntl
 import hashlib
 import struct
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from mimic.errors import AssetError
-from mimic.io.assets import user_cache
+from mimic.io.assets import shipped, user_cache
 from mimic.io.store import written_whole
-from mimic.sources.video.pose_models.tflite import ALIGNMENT, with_normalisation
 from mimic.sources.video.registry import RegistryError, download
-
-Progress = Callable[[int, int | None], None]
-"""Takes the megabytes done, and their total where it is known."""
 
 RELEASE = "0.10.14"
 """The release of mediapipe whose wheel carries the models."""
@@ -44,54 +40,40 @@ MODELS = {
 }
 """Name in a bundle -> name in the wheel, and SHA-256."""
 BUNDLE = f"blazepose_full_{RELEASE}.task"
-_LANDMARKS = "pose_landmarks_detector.tflite"
-
-_MEAN = 0.0
-"""Offset of the pictures of the landmark model.
-
-Source: mediapipe 0.10.14, modules/pose_landmark/pose_landmark_by_roi_cpu.pbtxt, output_tensor_float_range.
-"""
-_STD = 255.0
-"""Their scale: pictures are 0 to 1. The detector's model says -1 to 1 itself."""
+LANDMARKS = "pose_landmarks_detector.tflite"
+ALIGNMENT = 16
+"""TFLite aligns the weights in a model to this [bytes]."""
 
 
-def is_here(given: Path | None = None) -> bool:
+def is_here() -> bool:
     """Return whether `pose_model` needs no download."""
     folder = user_cache("models")
-    return given is not None or (folder / BUNDLE).is_file() or any(folder.glob(_WHEELS))
+    return (folder / BUNDLE).is_file() or any(folder.glob(_WHEELS))
 
 
-def pose_model(given: Path | None = None, *, progress: Progress | None = None) -> Path:
+def pose_model() -> Path:
     """Return the bundle of the BlazePose models; at the first use it is made from the package that carries them.
 
-    Args:
-        given: A bundle (.task) of another BlazePose model, or mediapipe's wheel 0.10.14; by default the cached bundle,
-            or one that is made of a wheel that a person put beside it or that is downloaded.
-        progress: Called while the package is downloaded.
+    It is the cached one, or is made of a wheel that a person put beside it or that is downloaded.
 
     Raises:
-        AssetError: If the file is neither, or the models are neither cached nor can be downloaded.
+        AssetError: If the models are neither cached nor can be downloaded, or the wheel is another one.
     """
     path = user_cache("models") / BUNDLE
-    if given is not None and not given.is_file():
-        raise AssetError(f"there is no pose model {given}; give a .task file or {WHEEL}")
-    if _names(given or path) >= set(MODELS):
-        return given or path
-    if given is not None:
-        return _bundled(given, path)
+    if _names(path) >= set(MODELS):
+        return path
     with _locked(path.parent):
         if _names(path) >= set(MODELS):  # another process has made it meanwhile
             return path
         if here := sorted(path.parent.glob(_WHEELS)):
             return _bundled(here[0], path)
         try:
-            with download(f"mediapipe=={RELEASE}", progress=progress) as package:
+            with download(f"mediapipe=={RELEASE}") as package:
                 return _bundled(package, path)
         except RegistryError as reason:
             raise AssetError(
                 f"the BlazePose models are not on this computer and could not be downloaded ({reason}); get "
-                f"{WHEEL} from a package registry and put it into {path.parent}, or name a model with --pose-model "
-                "FILE"
+                f"{WHEEL} from a package registry and put it into {path.parent}"
             ) from None
 
 
@@ -104,7 +86,7 @@ def _locked(folder: Path) -> Iterator[None]:
     except OSError as reason:
         raise AssetError(
             f"the BlazePose models cannot be kept in {folder}: {reason.strerror}; set XDG_CACHE_HOME to a folder that "
-            "can be written, or name the models with --pose-model FILE"
+            "can be written"
         ) from None
     with lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -127,7 +109,7 @@ def _bundled(source: Path, path: Path) -> Path:
         AssetError: If one is missing there, or is another model.
     """
     models = {name: _model(source, member, digest) for name, (member, digest) in MODELS.items()}
-    models[_LANDMARKS] = with_normalisation(models[_LANDMARKS], _MEAN, _STD)
+    models[LANDMARKS] = shipped("assets", "pose", "landmarks.head").read_bytes() + models[LANDMARKS]
     with written_whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
         for name, content in models.items():
             entry = zipfile.ZipInfo(name)
@@ -146,9 +128,7 @@ def _model(source: Path, member: str, digest: str) -> bytes:
             with zipfile.ZipFile(source) as archive:
                 content = archive.read(member)
     except (OSError, KeyError, zipfile.BadZipFile):
-        raise AssetError(
-            f"{source.name} holds no BlazePose model {member}; give a .task file of mediapipe, or {WHEEL}"
-        ) from None
+        raise AssetError(f"{source.name} holds no BlazePose model {member}; put {WHEEL} in its place") from None
     if hashlib.sha256(content).hexdigest() != digest:
-        raise AssetError(f"{member} in {source.name} is not that of mediapipe {RELEASE}; give {WHEEL}")
+        raise AssetError(f"{member} in {source.name} is not that of mediapipe {RELEASE}; put {WHEEL} in its place")
     return content

@@ -1,5 +1,8 @@
-"""Adds to a TFLite model what mediapipe's Tasks API asks for: how its input picture is normalised.
+"""Makes assets/pose/landmarks.head: how the input picture of the landmark model is normalised.
 
+    python -m lab.people.pose_head WHEEL assets/pose/landmarks.head
+
+mediapipe's Tasks API asks for that, and the model in the wheel (mimic.sources.video.pose_models.pose_model) lacks it.
 mediapipe's own classes write the metadata; packing the model with them would lose the alignment of its weights.
 
 Source: TFLite's schema.fbs (Model, Buffer, Metadata); the numbers of fields are their places in this file.
@@ -7,13 +10,23 @@ Source: TFLite's schema.fbs (Model, Buffer, Metadata); the numbers of fields are
 
 from __future__ import annotations
 
+import sys
+import zipfile
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from mimic.sources.video.pose_models.pose_model import ALIGNMENT, LANDMARKS, MODELS
 
 if TYPE_CHECKING:
     from flatbuffers import Builder
 
-ALIGNMENT = 16
-"""TFLite aligns the weights in a model to this [bytes]."""
+MEAN = 0.0
+"""Offset of the pictures of the landmark model.
+
+Source: mediapipe 0.10.14, modules/pose_landmark/pose_landmark_by_roi_cpu.pbtxt, output_tensor_float_range.
+"""
+STD = 255.0
+"""Their scale: pictures are 0 to 1. The detector's model says -1 to 1 itself."""
 
 _VERSION = 0
 _BUFFERS = 4
@@ -96,3 +109,16 @@ def _vector(builder: Builder, tables: list[int]) -> int:
     for place in reversed(tables):
         builder.PrependUOffsetTRelative(place)
     return builder.EndVector()
+
+
+def main() -> None:
+    """Write what comes before the landmark model of a wheel."""
+    wheel, out = sys.argv[1:]
+    with zipfile.ZipFile(wheel) as archive:
+        model = archive.read(MODELS[LANDMARKS][0])
+    whole = with_normalisation(model, MEAN, STD)
+    Path(out).write_bytes(whole[: whole.index(model)])
+
+
+if __name__ == "__main__":
+    main()
