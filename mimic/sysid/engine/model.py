@@ -40,8 +40,8 @@ MEMORY = 2.0**28
 IDLE = 0.01
 """Share of the gain of a step below which the numbers of a chain stay where they are, which saves its pass."""
 
-GO_ON = 4
-"""Blocks of 1.5 s after which errors are independent of each other."""
+MOST_ALIKE = 0.9
+"""Most correlation of errors in blocks that follow each other: nearer to 1, a log is too short to tell it."""
 
 Key = tuple[str, str]
 
@@ -355,8 +355,8 @@ class Model:
         return np.array(felt)
 
     def covariance(self) -> FloatArray:
-        """Return how uncertain the free numbers are together (P, P), in what is fitted, where errors go on for `GO_ON`
-        blocks; never less than with independent readings. Source: Newey and West 1987.
+        """Return how uncertain the free numbers are together (P, P), in what is fitted, where errors go on from block to
+        block; never less than with independent readings. Source: Andrews 1991, for errors of first order.
         """
         now = self.differentiated()
         total = now.normal()[0] + now.plausibility(now.values())[0]
@@ -364,14 +364,14 @@ class Model:
         stiff, turned = np.linalg.eigh(total / np.outer(size, size))
         root = turned / np.sqrt(np.maximum(stiff, 1e-12)) / size[:, None]
         felt = root.T @ now._felt()
-        log = now.data.record.log[np.searchsorted(now.data.block, np.arange(felt.shape[1]))]
-        varied = felt @ felt.T
-        for later in range(1, GO_ON):
-            both = (felt[:, later:] * (log[later:] == log[:-later])) @ felt[:, :-later].T
-            varied += (1.0 - later / GO_ON) * (both + both.T)
-        more, turned = np.linalg.eigh(varied)
+        varied, turned = np.linalg.eigh(felt @ felt.T)
+        felt = turned.T @ felt
         root = root @ turned
-        return (root * np.maximum(more, 1.0)) @ root.T
+        log = now.data.record.log[np.searchsorted(now.data.block, np.arange(felt.shape[1]))]
+        next_to = (felt[:, 1:] * felt[:, :-1] * (log[1:] == log[:-1])).sum(axis=1)
+        alike = next_to / np.maximum(varied, 1e-300)
+        alike = np.clip(alike + (1.0 + 3.0 * alike) / felt.shape[1], 0.0, MOST_ALIKE)  # Kendall 1954: few tell less
+        return (root * np.maximum(varied * (1.0 + alike) / (1.0 - alike), 1.0)) @ root.T
 
     def plausibility(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the same of what is plausible, at values (P,)."""
