@@ -348,15 +348,16 @@ class Model:
         """Return minus the descent of each number in each block (P, B)."""
         assert self.columns is not None
         pull = weights(self.e, self.scale, self.data) * np.nan_to_num(self.e)
-        felt = []
-        for f, column in zip(self.free, self.columns, strict=True):
+        felt = np.zeros((len(self.free), len(self.data.fold)))
+        for k, (f, column) in enumerate(zip(self.free, self.columns, strict=True)):
             rows = (column * pull[:, self.moved(f)]).sum(axis=1)
-            felt.append(np.bincount(self.data.block, rows, len(self.data.fold)))
-        return np.array(felt)
+            felt[k] = np.bincount(self.data.block, rows, len(self.data.fold))
+        return felt
 
     def covariance(self) -> FloatArray:
-        """Return how uncertain the free numbers are together (P, P), in what is fitted, where errors go on from block to
-        block; never less than with independent readings. Source: Andrews 1991, for errors of first order.
+        """Return how uncertain numbers are together (P, P), in what is fitted, where errors go on between blocks.
+
+        Never less than with independent readings. Source: Andrews 1991, for errors of first order.
         """
         now = self.differentiated()
         total = now.normal()[0] + now.plausibility(now.values())[0]
