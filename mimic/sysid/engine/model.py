@@ -364,7 +364,8 @@ class Model:
         size = np.sqrt(np.diag(total)) + 1e-150
         stiff, turned = np.linalg.eigh(total / np.outer(size, size))
         root = turned / np.sqrt(np.maximum(stiff, 1e-12)) / size[:, None]
-        felt = root.T @ now._felt()
+        felt = now._felt()
+        felt = root.T @ (felt - felt.mean(axis=1, keepdims=True))  # a number at its bound is pulled in all
         varied, turned = np.linalg.eigh(felt @ felt.T)
         felt = turned.T @ felt
         root = root @ turned
