@@ -19,7 +19,7 @@ from mimic.io.joint_log import JointLog
 from mimic.jobs.local import cores
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.engine.data import Data, data_of
-from mimic.sysid.engine.effects import covariance, dependences, effects_of, motion_of
+from mimic.sysid.engine.effects import dependences, effects_of, motion_of
 from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.model import Model, setting_of
 from mimic.sysid.engine.predictor import compiled
@@ -281,7 +281,7 @@ def _effects(outcome: Outcome, coarse: BoolArray) -> EffectSet:
     """Return all numbers fitted, with intervals, and the encoders (J,) that are coarse."""
     data = outcome.best.model.data
     effects = []
-    for one in effects_of(outcome.best.model, outcome.best.repeats):
+    for one in effects_of(outcome.best.model):
         if one.name == "delay" and "time" in one.intervals:  # when targets were sent is not known better
             low, high = one.intervals["time"].T
             low = np.maximum(low - data.times.later, np.minimum(low, 0.0))
@@ -317,7 +317,7 @@ def _called(key: tuple[str, str], joint: int, joints: Sequence[str]) -> str:
 
 
 def _correlations(model: Model) -> Correlations:
-    spreads = covariance(model)
+    spreads = model.covariance()
     size = np.sqrt(np.maximum(np.diag(spreads), 1e-300))
     names = tuple(_called(f.key, f.joint, model.data.machine.joints) for f in model.free)
     return Correlations(names=names, matrix=spreads / np.outer(size, size))

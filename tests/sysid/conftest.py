@@ -12,6 +12,7 @@ from mimic.config.sysid import LogSettings
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
+from mimic.records import FloatArray
 from mimic.sysid.predict import simulate_log
 
 PAIR = """<mujoco><worldbody>
@@ -35,13 +36,23 @@ def log_of() -> Callable[..., JointLog]:
     return made_log
 
 
-def made_log(pair: MachineModel, *hidden: EffectValues, fast: float = 0.0, timestep: float = 0.001) -> JointLog:
-    """Return 10 s of sines; with ``fast``, in the seventh second only there is also a swing of this size at 4 Hz."""
+def made_log(
+    pair: MachineModel,
+    *hidden: EffectValues,
+    fast: float = 0.0,
+    timestep: float = 0.001,
+    push: FloatArray | float = 0.0,
+) -> JointLog:
+    """Return 10 s of sines; with ``fast``, in the seventh second only there is also a swing of this size at 4 Hz; with
+    ``push`` (500, J), the machine's targets are moved by it, as a torque over its stiffness does.
+    """
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 10.0, 0.02)
     phase = rng.uniform(0, 2 * np.pi, (3, 2))
     q_des = sum(0.4 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate((0.4, 0.9, 1.7)))
     q_des = np.asarray(q_des)[:, : len(pair.joints)]
     swing = np.where((t > 6.0) & (t < 7.0), fast * np.sin(8 * np.pi * t), 0.0)
-    made = simulate_log(pair, t, q_des + swing[:, None], EffectSet(hidden), LogSettings(seed=4, timestep=timestep))
-    return replace(made, tau=None)
+    asked = q_des + swing[:, None]
+    made = simulate_log(pair, t, asked + push, EffectSet(hidden), LogSettings(seed=4, timestep=timestep))
+    told = made.q_des if np.ndim(push) == 0 else asked[np.searchsorted(t, made.t + 1e-9, side="right") - 1]
+    return replace(made, q_des=told, tau=None)

@@ -39,20 +39,9 @@ def motion_of(model: Model) -> Motion:
     return Motion(position=read, speed=np.gradient(read, model.data.record.t, axis=0), unknown=unknown, torque=torque)
 
 
-def covariance(model: Model, repeats: float = 1.0) -> FloatArray:
-    """Return how uncertain the free numbers are together (P, P), in what is fitted.
-
-    Args:
-        model: Numbers and their derivatives.
-        repeats: How often errors repeat themselves within a block.
-    """
-    model = model.differentiated()
-    return np.linalg.pinv(model.normal()[0] / repeats + model.plausibility(model.values())[0])
-
-
-def effects_of(model: Model, repeats: float = 1.0) -> EffectSet:
+def effects_of(model: Model) -> EffectSet:
     """Return all numbers that were fitted, with their 95 % intervals, as an effects file has them."""
-    spread = np.sqrt(np.maximum(np.diag(covariance(model, repeats)), 0.0))
+    spread = np.sqrt(np.maximum(np.diag(model.covariance()), 0.0))
     known = {(f.key, f.joint): (f, x, s) for f, x, s in zip(model.free, model.values(), spread, strict=True)}
     names = dict.fromkeys(f.key[0] for f in model.free)
     return EffectSet(tuple(_values(model, name, known) for name in names))

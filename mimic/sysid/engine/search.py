@@ -19,7 +19,6 @@ from mimic.sysid.engine.data import Data
 from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.likelihood import FOLLOWING, scales
 from mimic.sysid.engine.model import Free, Model, Setting, to_fit
-from mimic.sysid.engine.rival import density
 from mimic.sysid.engine.screen import Found, Screen, wanted, with_effect
 
 FARTHEST = 3.0
@@ -119,13 +118,17 @@ class Scored:
         return said + other.implausible - self.implausible
 
     @cached_property
-    def beside(self) -> float:
-        """Log density with the likeliest unknown slow torques beside the model [nats]."""
-        return density(self.model)
+    def covariance(self) -> FloatArray:
+        """How uncertain the numbers are together (P, P)."""
+        return self.model.covariance()
 
-    def beyond(self, other: Scored) -> float:
-        """Return by how much this model is better than another where either has such torques, numbers paid."""
-        said = (self.beside - other.beside) / float(np.sqrt(self.repeats * other.repeats))
+    def sure(self, other: Scored) -> float:
+        """Return how sure the numbers of what this model has more are not those of none [nats], numbers paid."""
+        old = {(f.key, f.joint) for f in other.model.free}
+        far = _from_none(self.model)
+        new = [k for k in far if (self.model.free[k].key, self.model.free[k].joint) not in old]
+        by = np.array([far[k] for k in new])
+        said = 0.5 * float(by @ np.linalg.solve(self.covariance[np.ix_(new, new)], by)) if new else np.inf
         return said - PRICE * (self.numbers - other.numbers)
 
 
@@ -217,9 +220,7 @@ def trimmed(one: Scored) -> Scored:
     named first.
     """
     model = one.model.differentiated()
-    x = model.values()
-    spread = np.diag(np.linalg.pinv(model.normal()[0] + model.plausibility(x)[0]))
-    losses = {k: float(0.5 * by**2 / spread[k] / one.repeats) for k, by in _beside(model, x).items()}
+    losses = {k: 0.5 * by**2 / float(one.covariance[k, k]) for k, by in _beside(model).items()}
     idle = min(losses, key=lambda k: losses[k], default=-1)
     if idle < 0 or losses[idle] > PRICE:
         return one
@@ -234,14 +235,24 @@ def trimmed(one: Scored) -> Scored:
     return trimmed(other) if other.over(one) > 0.0 else one
 
 
-def _beside(model: Model, x: FloatArray) -> dict[int, float]:
+def _beside(model: Model) -> dict[int, float]:
     """Return how far numbers are from none that an effect can do without, by their places."""
     far = {}
-    for k, f in enumerate(model.free):
+    for k, by in _from_none(model).items():
+        name, parameter = model.free[k].key
+        if parameter != wanted(name)[0].name and CATALOGUE[name].parameter(parameter).neutral != MODEL:
+            far[k] = by
+    return far
+
+
+def _from_none(model: Model) -> dict[int, float]:
+    """Return how far the numbers of effects are from none, in what is fitted, by their places."""
+    far = {}
+    names = dict(model.effects)
+    for k, (f, x) in enumerate(zip(model.free, model.values(), strict=True)):
         p = CATALOGUE[f.key[0]].parameter(f.key[1])
-        first = wanted(f.key[0])[0].name
-        if f.key[0] in dict(model.effects) and p.name != first and not p.shape and p.neutral != MODEL:
-            far[k] = float(x[k]) - to_fit(p, float(model.setting.blank[ROW[f.key], max(f.joint, 0)]))
+        if f.key[0] in names and not p.shape:
+            far[k] = float(x) - to_fit(p, float(model.setting.blank[ROW[f.key], max(f.joint, 0)]))
     return far
 
 
@@ -445,11 +456,11 @@ def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
 
 
 def better(new: Scored, old: Scored) -> bool:
-    """Return whether a model is surely better, also where either has unknown slow torques, and removes a share of the
+    """Return whether a model is surely better, its numbers are surely not those of none, and it removes a share of the
     error of some joint that is worth a name.
     """
     share = np.exp(2.0 * np.mean(np.log(by_log(new.model) / by_log(old.model)), axis=0))
-    return new.over(old) >= TIED and bool(share.min() < 1.0 - MATERIAL) and new.beyond(old) >= TIED
+    return new.over(old) >= TIED and bool(share.min() < 1.0 - MATERIAL) and new.sure(old) >= TIED
 
 
 def backwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:

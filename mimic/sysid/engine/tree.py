@@ -156,10 +156,11 @@ FORCE = 40
 BIAS = 46
 AT = 47
 MOVING = 48
-ROOM = 49
+MOMENTUM = 49
+ROOM = 55
 """Columns of the room of a joint: axes (row by row), origin, unit motion, composite body, spatial velocity,
-acceleration and force, bias force, position, velocity; one array for all, since compiled code counts references to
-every array that it touches."""
+acceleration and force, bias force, position, velocity, momentum; one array for all, since compiled code counts
+references to every array that it touches."""
 
 PARENT, SLIDE, FIRST, END = range(4)
 """Columns of the joints as whole numbers."""
@@ -168,7 +169,6 @@ OFFSET = 9
 ZERO = 12
 STIFFNESS = 13
 REST = 14
-SHAPE = 15
 """Columns of their geometry, after the rotation row by row."""
 
 
@@ -181,9 +181,11 @@ def packed(tree: Tree) -> tuple[IntArray, FloatArray]:
 
 
 @inlined
-def cross(a, b, c, x, y, z):  # type: ignore[no-untyped-def]
-    """Return the cross product of two vectors given by their components."""
-    return b * z - c * y, c * x - a * z, a * y - b * x
+def add_cross(room, i, a, b, to):  # type: ignore[no-untyped-def]
+    """Add the cross product of the vectors of a joint in columns a and b to those from a column on."""
+    room[i, to] += room[i, a + 1] * room[i, b + 2] - room[i, a + 2] * room[i, b + 1]
+    room[i, to + 1] += room[i, a + 2] * room[i, b] - room[i, a] * room[i, b + 2]
+    room[i, to + 2] += room[i, a] * room[i, b + 1] - room[i, a + 1] * room[i, b]
 
 
 @inlined
@@ -228,13 +230,8 @@ def place(joints, shape, room):  # type: ignore[no-untyped-def]
                 room[i, r] = c * x + s * y
                 room[i, r + 1] = c * y - s * x
                 room[i, SCREW + a] = room[i, r + 2]
-            x = room[i, ORIGIN]
-            y = room[i, ORIGIN + 1]
-            z = room[i, ORIGIN + 2]
-            u, v, w = cross(x, y, z, room[i, SCREW], room[i, SCREW + 1], room[i, SCREW + 2])
-            room[i, SCREW + 3] = u
-            room[i, SCREW + 4] = v
-            room[i, SCREW + 5] = w
+                room[i, SCREW + 3 + a] = 0.0
+            add_cross(room, i, ORIGIN, SCREW, SCREW + 3)
 
 
 @inlined
@@ -242,12 +239,13 @@ def weigh(loads, log, room):  # type: ignore[no-untyped-def]
     """Write each link's numbers about the world's origin in world axes, from those in its own frame (L, J, 10)."""
     for i in range(loads.shape[1]):
         m = loads[log, i, 0]
-        cx = loads[log, i, 1]
-        cy = loads[log, i, 2]
-        cz = loads[log, i, 3]
-        hx = room[i, 0] * cx + room[i, 1] * cy + room[i, 2] * cz
-        hy = room[i, 3] * cx + room[i, 4] * cy + room[i, 5] * cz
-        hz = room[i, 6] * cx + room[i, 7] * cy + room[i, 8] * cz
+        trace = 0.0
+        for a in range(3):
+            h = 0.0
+            for k in range(3):
+                h += room[i, 3 * a + k] * loads[log, i, 1 + k]
+            room[i, BODY + 1 + a] = h
+            trace += room[i, ORIGIN + a] * (2.0 * h + m * room[i, ORIGIN + a])
         k = BODY + 4
         for a in range(3):
             u = room[i, 3 * a]
@@ -257,52 +255,29 @@ def weigh(loads, log, room):  # type: ignore[no-untyped-def]
             y = u * loads[log, i, 5] + v * loads[log, i, 7] + w * loads[log, i, 8]
             z = u * loads[log, i, 6] + v * loads[log, i, 8] + w * loads[log, i, 9]
             for b in range(a, 3):
-                room[i, k] = x * room[i, 3 * b] + y * room[i, 3 * b + 1] + z * room[i, 3 * b + 2]
+                own = x * room[i, 3 * b] + y * room[i, 3 * b + 1] + z * room[i, 3 * b + 2]
+                own -= room[i, ORIGIN + a] * (room[i, BODY + 1 + b] + m * room[i, ORIGIN + b])
+                own -= room[i, ORIGIN + b] * room[i, BODY + 1 + a]
+                room[i, k] = own + (trace if a == b else 0.0)
                 k += 1
-        px = room[i, ORIGIN]
-        py = room[i, ORIGIN + 1]
-        pz = room[i, ORIGIN + 2]
-        gx = 2.0 * hx + m * px
-        gy = 2.0 * hy + m * py
-        gz = 2.0 * hz + m * pz
-        trace = px * gx + py * gy + pz * gz
-        room[i, BODY + 4] += trace - px * gx
-        room[i, BODY + 5] -= px * hy + py * hx + m * px * py
-        room[i, BODY + 6] -= px * hz + pz * hx + m * px * pz
-        room[i, BODY + 7] += trace - py * gy
-        room[i, BODY + 8] -= py * hz + pz * hy + m * py * pz
-        room[i, BODY + 9] += trace - pz * gz
         room[i, BODY] = m
-        room[i, BODY + 1] = hx + m * px
-        room[i, BODY + 2] = hy + m * py
-        room[i, BODY + 3] = hz + m * pz
+        for a in range(3):
+            room[i, BODY + 1 + a] += m * room[i, ORIGIN + a]
 
 
 @inlined
-def momentum(room, i, s):  # type: ignore[no-untyped-def]
-    """Return angular and linear momentum about the origin of a joint's body at the spatial velocity in column s."""
-    b = BODY
-    a = s
-    wx = room[i, a]
-    wy = room[i, a + 1]
-    wz = room[i, a + 2]
-    vx = room[i, a + 3]
-    vy = room[i, a + 4]
-    vz = room[i, a + 5]
-    hx = room[i, b + 1]
-    hy = room[i, b + 2]
-    hz = room[i, b + 3]
-    x, y, z = cross(hx, hy, hz, vx, vy, vz)
-    u, v, w = cross(wx, wy, wz, hx, hy, hz)
-    m = room[i, b]
-    return (
-        room[i, b + 4] * wx + room[i, b + 5] * wy + room[i, b + 6] * wz + x,
-        room[i, b + 5] * wx + room[i, b + 7] * wy + room[i, b + 8] * wz + y,
-        room[i, b + 6] * wx + room[i, b + 8] * wy + room[i, b + 9] * wz + z,
-        m * vx + u,
-        m * vy + v,
-        m * vz + w,
-    )
+def momentum(room, i, s, to):  # type: ignore[no-untyped-def]
+    """Write angular and linear momentum about the origin of a joint's body at the spatial velocity in column s."""
+    x = room[i, s]
+    y = room[i, s + 1]
+    z = room[i, s + 2]
+    room[i, to] = room[i, BODY + 4] * x + room[i, BODY + 5] * y + room[i, BODY + 6] * z
+    room[i, to + 1] = room[i, BODY + 5] * x + room[i, BODY + 7] * y + room[i, BODY + 8] * z
+    room[i, to + 2] = room[i, BODY + 6] * x + room[i, BODY + 8] * y + room[i, BODY + 9] * z
+    for a in range(3):
+        room[i, to + 3 + a] = room[i, BODY] * room[i, s + 3 + a]
+    add_cross(room, i, BODY + 1, s + 3, to)
+    add_cross(room, i, s, BODY + 1, to + 3)
 
 
 @inlined
@@ -310,46 +285,23 @@ def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
     """Write the spatial force that each link needs at the velocities, without acceleration of the joints."""
     for i in range(len(joints)):
         before = joints[i, PARENT]
-        dq = room[i, MOVING]
         for k in range(6):
-            room[i, SPEED + k] = room[i, SCREW + k] * dq
+            own = room[i, SCREW + k] * room[i, MOVING]
+            room[i, FORCE + k] = own
+            room[i, SPEED + k] = own
             room[i, RATE + k] = 0.0 if k < 3 else -gravity[k - 3]
         if before >= 0:
             for k in range(6):
                 room[i, SPEED + k] += room[before, SPEED + k]
                 room[i, RATE + k] = room[before, RATE + k]
-        s0 = room[i, SCREW] * dq
-        s1 = room[i, SCREW + 1] * dq
-        s2 = room[i, SCREW + 2] * dq
-        s3 = room[i, SCREW + 3] * dq
-        s4 = room[i, SCREW + 4] * dq
-        s5 = room[i, SCREW + 5] * dq
-        w0 = room[i, SPEED]
-        w1 = room[i, SPEED + 1]
-        w2 = room[i, SPEED + 2]
-        v0 = room[i, SPEED + 3]
-        v1 = room[i, SPEED + 4]
-        v2 = room[i, SPEED + 5]
-        x, y, z = cross(w0, w1, w2, s0, s1, s2)
-        room[i, RATE] += x
-        room[i, RATE + 1] += y
-        room[i, RATE + 2] += z
-        x, y, z = cross(w0, w1, w2, s3, s4, s5)
-        u, g, w = cross(v0, v1, v2, s0, s1, s2)
-        room[i, RATE + 3] += x + u
-        room[i, RATE + 4] += y + g
-        room[i, RATE + 5] += z + w
-        f0, f1, f2, f3, f4, f5 = momentum(room, i, RATE)
-        l0, l1, l2, p0, p1, p2 = momentum(room, i, SPEED)
-        x, y, z = cross(w0, w1, w2, l0, l1, l2)
-        u, g, w = cross(v0, v1, v2, p0, p1, p2)
-        room[i, FORCE] = f0 + x + u
-        room[i, FORCE + 1] = f1 + y + g
-        room[i, FORCE + 2] = f2 + z + w
-        x, y, z = cross(w0, w1, w2, p0, p1, p2)
-        room[i, FORCE + 3] = f3 + x
-        room[i, FORCE + 4] = f4 + y
-        room[i, FORCE + 5] = f5 + z
+        add_cross(room, i, SPEED, FORCE, RATE)
+        add_cross(room, i, SPEED, FORCE + 3, RATE + 3)
+        add_cross(room, i, SPEED + 3, FORCE, RATE + 3)
+        momentum(room, i, RATE, FORCE)
+        momentum(room, i, SPEED, MOMENTUM)
+        add_cross(room, i, SPEED, MOMENTUM, FORCE)
+        add_cross(room, i, SPEED + 3, MOMENTUM + 3, FORCE)
+        add_cross(room, i, SPEED, MOMENTUM + 3, FORCE + 3)
 
 
 @inlined
@@ -366,11 +318,12 @@ def gather(joints, room, mass):  # type: ignore[no-untyped-def]
                 room[before, FORCE + k] += room[i, FORCE + k]
             for k in range(LINK):
                 room[before, BODY + k] += room[i, BODY + k]
-        a, b, c, x, y, z = momentum(room, i, SCREW)
+        momentum(room, i, SCREW, MOMENTUM)
         j = i
         while j >= 0:
-            own = room[j, SCREW] * a + room[j, SCREW + 1] * b + room[j, SCREW + 2] * c
-            own += room[j, SCREW + 3] * x + room[j, SCREW + 4] * y + room[j, SCREW + 5] * z
+            own = 0.0
+            for k in range(6):
+                own += room[j, SCREW + k] * room[i, MOMENTUM + k]
             mass[i, j] = own
             mass[j, i] = own
             j = joints[j, PARENT]
@@ -387,7 +340,7 @@ def dynamics(joints, shape, loads, log, gravity, room, mass):  # type: ignore[no
             inertia about the frame's origin.
         log: Which of these.
         gravity: In base axes (3,) [m/s^2].
-        room: Positions and velocities, and takes the bias forces (J, 49).
+        room: Positions and velocities, and takes the bias forces (J, 55).
         mass: Takes the mass matrix (J, J).
     """
     place(joints, shape, room)

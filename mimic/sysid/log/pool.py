@@ -136,11 +136,6 @@ class Part:
     supply: float = 1.0
     """Supply voltage over that of the first log."""
 
-    @property
-    def slice(self) -> slice:
-        """Return the rows of the pool that are this log's."""
-        return slice(self.first, self.first + self.rows)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pool:

@@ -56,11 +56,6 @@ class SendingTimes:
     later: float = 0.0
     """The same for later."""
 
-    @property
-    def period(self) -> float:
-        """Usual time between two targets [s]."""
-        return float(np.median(np.diff(self.at))) if len(self.at) > 1 else np.inf
-
 
 def first_rows(q_des: FloatArray) -> IntArray:
     """Return the rows that first show a target (K,), the first one included."""

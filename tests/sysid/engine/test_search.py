@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.effect_set import EffectValues, read_effects, write_effects
@@ -33,6 +34,22 @@ def test_errors_of_a_model_that_lacks_something_are_not_independent(pair, log_of
     true, lacking = (data_of([log_of(pair, *hidden)], pair) for hidden in ((), (SPRING,)))
     assert baseline(setting_of(true), BASELINE).settled().repeats() < 3.0
     assert baseline(setting_of(lacking), BASELINE).settled().repeats() > 4.0
+
+
+def test_a_pull_is_less_sure_where_a_slow_torque_pushes(pair, log_of):
+    """It goes on from block to block, so that a thousand readings tell little of its mean."""
+    log = log_of(pair)
+    kicks = np.random.default_rng(1).standard_normal(500)
+    walk = 0.3 * np.sqrt(1.0 - 0.99**2) * lfilter([1.0], [1.0, -0.99], kicks)
+    pushed = log_of(pair, push=np.stack([walk, 0.0 * walk], -1) / pair.drives.kp)
+    spread = []
+    for one in (log, pushed):
+        model = baseline(setting_of(data_of([one], pair)), (*BASELINE, "spring")).settled()
+        k = [(f.key, f.joint) for f in model.free].index((("spring", "moment"), 0))
+        independent = np.linalg.inv(model.differentiated().normal()[0] + model.plausibility(model.values())[0])
+        spread.append(np.sqrt(model.covariance()[k, k] / independent[k, k]))
+    assert spread[0] < 2.0
+    assert spread[1] > 5.0
 
 
 def test_a_machine_that_flies_apart_does_so_for_a_block_only(pair, log_of):
