@@ -122,7 +122,7 @@ def test_a_word_one_letter_from_one_word_is_read_as_that_and_said(typed, meant, 
     assert [frame.what for frame in motion.frames] == [frame.what for frame in plan(says.format(meant)).frames]
 
 
-@pytest.mark.parametrize("word", ["bowing", "talk", "have", "lunch", "not", "no", "jump", "sitting", "shake", "kneel"])
+@pytest.mark.parametrize("word", ["talk", "have", "lunch", "not", "no", "jump", "sitting", "shake", "kneel"])
 def test_an_english_word_is_never_taken_for_another_one(word, plan):
     with pytest.raises(SourceError, match=word):
         plan(f"wave, then {word}")
@@ -214,7 +214,7 @@ def test_what_is_not_understood_is_reported_with_what_would_be(sentence, message
         ("stop waving", "nothing goes on"),
         ("raise both hands, not the left one", "'not'"),
         ("walk twice as far", "compares with nothing"),
-        ("wave your left hand and punch, bowing", "'bowing'"),
+        ("wave your left hand and punch, jumping", "'jump"),
         ("walk to me", "'me'"),
         ("wave for", "behind 'for': "),
         ("step forward 1.5 times", "1.5 times"),
