@@ -223,6 +223,11 @@ def _who(action: Action) -> str:
     return "both hands" if len(action.sides) == 2 else f"the {action.sides[0]} hand"
 
 
+def _between(moment: float, t: FloatArray, values: FloatArray) -> FloatArray:
+    """Return values (T, k) at a moment between times (T,)."""
+    return np.array([np.interp(moment, t, column) for column in values.T])
+
+
 def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -> tuple[list[KeyFrame], float]:
     """Return a key frame for each moment at which the base or a hand changes; updates ``hands`` to where they end."""
     base = list(timeline.base)
@@ -250,7 +255,7 @@ def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -
     what = " while ".join(timeline.understood)
     for moment in moments:
         part = min(int(np.searchsorted(ends, moment - 1e-6)), len(base) - 1)
-        left, right, trunk = (np.array([np.interp(moment, t, x) for x in own.T]) for t, own in tracks.values())
+        left, right, trunk = (_between(moment, *tracks[name]) for name in (*SIDES, "trunk"))
         turned = float(np.interp(moment, [0.0, *ends], gains))
         frames.append(
             KeyFrame(
