@@ -82,7 +82,7 @@ def test_several_robots_step_together():
     robots = gymnasium.vector.SyncVectorEnv([mimic.Env] * 2)
     seen, _ = robots.reset(seed=1)
     seen, reward, *_ = robots.step(np.zeros((2, 12), np.float32))
-    assert seen.shape == (2, 1216)
+    assert seen.shape == (2, 1169)
     assert reward.shape == (2,)
 
 

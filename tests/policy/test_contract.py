@@ -104,7 +104,8 @@ def test_a_contract_with_an_unknown_field_is_refused(contract):
 
 def test_the_shipped_contract_fits_the_robot(contract, description):
     contract.check(description)
-    assert contract.observation_size == contract.history * sum(width for _, width in contract.terms)
+    frames = contract.history * sum(width for _, width in contract.terms)
+    assert contract.observation_size == frames + sum(width for _, width in contract.once)
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,10 @@ def posture(track: PoseTrack) -> str:
         return f"the person is wider {_SQUEEZED}"
     lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
     if np.quantile(lean, 0.8) > LEANT or _hips_bent(track) > BENT:
-        return "the person bends, sits, squats or leans: the robot moves its front legs as the arms, and does not"
+        return (
+            "the person bends, sits, squats or leans: the robot follows how height and lean change, as far as it can, "
+            "and not the posture"
+        )
     drawn = pixels[:, _UPPER]
     metres = track.landmarks[rows][:, _UPPER, :2]
     metres, drawn = (points - points.mean(axis=1, keepdims=True) for points in (metres, drawn))
