@@ -31,7 +31,7 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
 def contract(request, description) -> PolicyContract:
     """The contract of the shipped policy, with few frames of either kind."""
     noise = tuple((name, 0.01 * width) for name, width in request.param[:3])
-    return changed(load_policy(None, description).contract, terms=request.param, history=HISTORY, noise=noise)
+    return changed(load_policy(None, description).contract, terms=request.param, once=(), history=HISTORY, noise=noise)
 
 
 def changed(contract: PolicyContract, **changes: object) -> PolicyContract:
