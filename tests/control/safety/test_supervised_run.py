@@ -287,7 +287,8 @@ def test_a_joint_that_did_not_answer_is_nan_in_the_log_and_estimated_for_the_pol
     log = run_policy(plant, policy, track(20), SHORT, safety=forgiving(ramp=MOVES * 0.02)).log
     assert np.flatnonzero(np.isnan(log.q[:, 4])).tolist() == [60, 61]
     assert np.isfinite(policy.seen).all()
-    held = np.array([seen.reshape(policy.contract.history, -1)[-1][4] for seen in policy.seen])
+    newest = (policy.contract.history - 1) * policy.contract.frame_size
+    held = np.array([seen[newest + 4] for seen in policy.seen])
     assert np.allclose(held[60 - RAMP : 62 - RAMP], held[59 - RAMP], atol=1e-9)
 
 
