@@ -130,7 +130,8 @@ def test_training_physics_is_that_of_the_simulation(description, timestep, monke
     solver, description = Solver(timestep=timestep), with_timestep(description, timestep)
     monkeypatch.setattr("mimic.train.worlds.LINE_SEARCHES", 50)
     solved = {"solver_iterations": 100, "timestep": timestep, "command_margin": 0.0}
-    env = make(description, worlds=1, upright_share=0.0, upright_share_at_first=0.0, randomisation=NOMINAL, **solved)
+    crouched = {"upright_share": 0.0, "upright_share_at_first": 0.0, "limp_share": 0.0, "ramped_share": 0.0}
+    env = make(description, worlds=1, randomisation=NOMINAL, **crouched, **solved)
     plant = SimulatedPlant(description, solver=solver)
     lie = [0.0, 0.0, description.pose_height["lie"] + 0.005, 1.0, 0.0, 0.0, 0.0, *description.poses["lie"]]
     state = plant.start_at(np.array(lie), np.zeros(18))  # without power it lies on its stops, where solvers differ more
