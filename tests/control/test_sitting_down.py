@@ -68,10 +68,11 @@ def test_it_keeps_its_heading_and_is_asked_for_nothing(play, memory_plant, fixed
 
 def test_it_begins_with_a_history_of_its_own(play, memory_plant, fixed_policy, sitter, track):
     play(memory_plant(), fixed_policy(answer=lambda call: np.full(12, 0.1)), track(20), SHORT, sit_down=sitter)
-    frames = sitter.seen[0].reshape(sitter.contract.history, -1)
+    contract = sitter.contract
+    frames = sitter.seen[0][: contract.history * contract.frame_size].reshape(contract.history, -1)
     assert np.array_equal(frames[0], frames[-1])
-    assert not frames[0][18:30].any()  # no action before
-    assert np.allclose(frames[0][39:41], [0.0, 1.0])  # its clock begins
+    assert not frames[0][contract.columns("last_action")].any()
+    assert np.allclose(frames[0][contract.columns("clock")], [0.0, 1.0])  # it begins
 
 
 def test_the_figures_of_a_run_do_not_see_the_sitting_down(play, memory_plant, fixed_policy, sitter, track, description):
