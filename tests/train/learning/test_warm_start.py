@@ -99,12 +99,14 @@ def test_what_is_no_policy_is_refused(tmp_path):
         train(tmp_path / "out", MDP, LEARN, resume=tmp_path / "text.onnx")
 
 
-def test_a_training_goes_on_from_a_policy_that_saw_toe_commands_as_it_acts_for_neutral_toes(description, tmp_path):
+def test_a_training_goes_on_from_a_policy_that_saw_toe_commands_as_it_acts_for_neutral_toes(tmp_path):
+    description = load_description("go2")
     shipped = load_policy(None, description)
     contract = shipped.contract
     assert contract.columns("toe_command").size
     learn = dataclasses.replace(LEARN, hidden=LearnSettings().hidden)
-    taken = train(tmp_path, dataclasses.replace(MDP, history=contract.history), learn, resume=shipped.path)
+    mdp = dataclasses.replace(MDP, history=contract.history)
+    taken = train_robot(tmp_path, mdp, learn, description, resume=shipped.path)
     new = Policy(taken, description).contract
     rng = np.random.default_rng(0)
     frames = {name: 0.2 * rng.normal(size=(5, contract.history, width)) for name, width in contract.terms}
