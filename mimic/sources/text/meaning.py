@@ -557,7 +557,10 @@ class _Reader:
             return []
         other = replace(self.before, sides=self.hands)
         group = [other]
-        if other.verb == "place":
+        if other.verb == "place" and all(self.at.get(side) for side in BOTH):
+            self.at = {side: self.at[OPPOSITE[side]] for side in BOTH}
+            group = [replace(other, sides=(side,), way=self.at[side]) for side in BOTH]
+        elif other.verb == "place":
             group.append(Action(verb="place", sides=self.before.sides, way="down"))
         self.before = other
         return [group]
