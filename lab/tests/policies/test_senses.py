@@ -26,7 +26,7 @@ def seen(request, monkeypatch, description):
 
     def make(senses, seed=1):
         policy = load_policy(None, description)
-        policy.contract = dataclasses.replace(policy.contract, terms=request.param)
+        policy.contract = dataclasses.replace(policy.contract, terms=request.param, once=())
         return SensingPolicy(policy, senses, seed), given
 
     return make
