@@ -555,15 +555,18 @@ class _Reader:
         if now is not None and now.rule == "gesture" and not now.has("HAND", "LEFT", "RIGHT"):
             now.words["HAND"] = [f"{self.hands[0]} hand"]
             return []
-        other = replace(self.before, sides=self.hands)
-        group = [other]
-        if other.verb == "place" and all(self.at.get(side) for side in BOTH):
-            self.at = {side: self.at[OPPOSITE[side]] for side in BOTH}
-            group = [replace(other, sides=(side,), way=self.at[side]) for side in BOTH]
-        elif other.verb == "place":
-            group.append(Action(verb="place", sides=self.before.sides, way="down"))
+        return [self._switched(self.before)]
+
+    def _switched(self, before: Action) -> list[Action]:
+        """Return an action with the other hand; where both hands were told a posture, they exchange it."""
+        other = replace(before, sides=self.hands)
         self.before = other
-        return [group]
+        if other.verb != "place":
+            return [other]
+        if all(self.at.get(side) for side in BOTH):
+            self.at = {side: self.at[OPPOSITE[side]] for side in BOTH}
+            return [replace(other, sides=(side,), way=self.at[side]) for side in BOTH]
+        return [other, Action(verb="place", sides=before.sides, way="down")]
 
     # ------------------------------------------------------------------ one action
 
