@@ -100,6 +100,14 @@ def test_a_saved_run_is_read_again_with_its_figures(waved, tmp_path):
     assert np.array_equal(found.run.motion.commands.p_BE, waved.motion.commands.p_BE)
 
 
+def test_a_saved_run_of_another_robot_is_read_as_its(tmp_path):
+    description = mimic.load_robot("go2")
+    targets = mimic.load_motion(CLIP, description=description).targets
+    run = mimic.play(targets, robot="go2", settings=mimic.RunSettings(hold_last=0.0))
+    run.save(tmp_path / "run")
+    assert mimic.load_run(tmp_path / "run").run.description.name == "go2"
+
+
 def test_a_folder_without_a_run_is_named(tmp_path):
     with pytest.raises(mimic.MimicError, match=r"there is no log\.parquet in"):
         mimic.load_run(tmp_path)

@@ -256,13 +256,14 @@ def load_run(folder: str | Path) -> SavedRun:
     def stored(name: str, kind: type[store.R]) -> store.R | None:
         return store.load(folder / name, kind) if (folder / name).is_file() else None
 
+    description = load_robot(str(log.metadata.get("robot", DEFAULT_ROBOT)))
     motion = None
     targets = stored(TARGETS, TargetTrack)
     commands = stored(COMMANDS, CommandTrack)
     if commands is not None:
         motion = Motion(commands=commands, targets=targets, pose=stored(POSE, PoseTrack))
     elif targets is not None:
-        motion = replace(as_motion(targets), pose=stored(POSE, PoseTrack))
+        motion = replace(as_motion(targets, description=description), pose=stored(POSE, PoseTrack))
     result = RunResult(
         log=log,
         health=store.load(folder / HEALTH, HealthLog),
@@ -271,7 +272,6 @@ def load_run(folder: str | Path) -> SavedRun:
         fell_at=log.metadata.get("fell_at"),
         interrupted=metrics["interrupted"],
     )
-    description = load_robot(str(log.metadata.get("robot", DEFAULT_ROBOT)))
     run = Run(motion=motion, result=result, description=description)
     return SavedRun(run=run, folder=folder, metrics=metrics)
 
