@@ -65,20 +65,33 @@ def turned_about_up(quat_WB: Any, angle: float) -> NDArray[np.float64]:
     return multiply_quats([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)], quat_WB)
 
 
-def pitched_back(quat_WB: Any, omega_B: Any, pitch: float, rate: float) -> tuple[Any, Any]:
-    """Return orientation (4,), wxyz, and angular velocity (3,) [rad/s] of a base without a turn about its y axis.
+def without_pitch(quat_WB: Any, pitch: Any, xp: Any) -> Any:
+    """Return orientations (..., 4), wxyz, of a base before it was turned about its own y axis.
 
     Args:
-        quat_WB: Orientation of the base with it.
-        omega_B: Its angular velocity, its own axes [rad/s].
-        pitch: By how much it is turned [rad].
-        rate: How fast that grows [rad/s].
+        quat_WB: Orientations after that.
+        pitch: By how much it was turned (...,) [rad].
+        xp: ``numpy`` or ``torch``.
     """
-    back = multiply_quats(quat_WB, [np.cos(pitch / 2), 0.0, -np.sin(pitch / 2), 0.0])
-    x, y, z = omega_B
-    c = np.cos(pitch)
-    s = np.sin(pitch)
-    return back, np.array([c * x + s * z, y - rate, c * z - s * x])
+    w, x, y, z = (quat_WB[..., i] for i in range(4))
+    c = xp.cos(0.5 * pitch)
+    s = xp.sin(0.5 * pitch)
+    return xp.stack([c * w + s * y, c * x + s * z, c * y - s * w, c * z - s * x], -1)
+
+
+def without_pitch_rate(omega_B: Any, pitch: Any, rate: Any, xp: Any) -> Any:
+    """Return the angular velocity (..., 3) [rad/s] of that base; ``rate`` is that of the pitch [rad/s]."""
+    x, y, z = (omega_B[..., i] for i in range(3))
+    c = xp.cos(pitch)
+    s = xp.sin(pitch)
+    return xp.stack([c * x + s * z, y - rate, c * z - s * x], -1)
+
+
+def forward_lean(quat_WB: Any) -> NDArray[np.float64]:
+    """Return the angle of base x from the vertical, in the plane of the heading (...,) [rad]; positive to the belly."""
+    x = rotation_from_quat(quat_WB)[..., 0]
+    heading = heading_from_quat(quat_WB)
+    return np.arctan2(x[..., 0] * np.cos(heading) + x[..., 1] * np.sin(heading), x[..., 2])
 
 
 def world_axes_in_base(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]:

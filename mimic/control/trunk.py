@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.geometry import pitched_back
+from mimic.geometry import without_pitch, without_pitch_rate
 from mimic.policy.contract import FRONT
 from mimic.records import FloatArray, JointCommand, RobotState
 from mimic.robot.description import RobotDescription
@@ -75,8 +75,14 @@ class Trunk:
         _, pitch_before = self._asked[-1]
         q = state.q - _all_joints(acting.joints)
         dq = state.dq - _all_joints((acting.joints - before.joints) / self._dt)
-        quat_WB, omega_B = pitched_back(state.quat_WB, state.omega_B, pitch, (pitch - pitch_before) / self._dt)
-        return replace(state, q=q, dq=dq, quat_WB=quat_WB, omega_B=omega_B)
+        rate = (pitch - pitch_before) / self._dt
+        return replace(
+            state,
+            q=q,
+            dq=dq,
+            quat_WB=without_pitch(state.quat_WB, pitch, np),
+            omega_B=without_pitch_rate(state.omega_B, pitch, rate, np),
+        )
 
     def added(self, command: JointCommand) -> JointCommand:
         """Return a command for the hind legs of a robot that stands by itself, with the newest change."""

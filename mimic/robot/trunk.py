@@ -14,6 +14,7 @@ Introduction to Robotic Manipulation", 1994, section 3.4.2).
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,14 +24,12 @@ from mimic.errors import AssetError
 from mimic.records import JOINTS, FloatArray
 from mimic.robot.arm_torques import GRAVITY
 from mimic.robot.description import RobotDescription, TrunkNumbers
-from mimic.robot.leg_kinematics import Leg, all_legs
+from mimic.robot.leg_kinematics import all_legs
+from mimic.robot.model import TOES
 from mimic.robot.rigid_body import rigid_body_model
 
 HIND = 6
 """Joints of the hind legs: the last six."""
-
-STEP = 1e-6
-"""Of a numerical derivative [rad]."""
 
 ROUNDS = 5
 """In which the trunk is moved until its centre of mass is where it was; the last moves no joint by 1 mrad."""
@@ -67,12 +66,7 @@ class TrunkPoses:
         Raises:
             AssetError: If the description has no [trunk], or its legs do not get there.
         """
-        numbers = description.trunk_numbers
-        if numbers is None:
-            raise AssetError(f"{description.name} has no [trunk] in its robot.toml: it cannot crouch or lean")
-        heights = _steps(*numbers.height, HEIGHT_STEP)
-        pitches = _steps(*numbers.pitch, PITCH_STEP)
-        table = _table(description, numbers, heights, pitches)
+        heights, pitches, table = _table(description)
         self._xp = xp
         self._table = table if xp is np else xp.as_tensor(table, dtype=xp.float32, device=device)
         self._from = (float(heights[0]), float(pitches[0]))
@@ -108,15 +102,20 @@ def _steps(low: float, high: float, step: float) -> FloatArray:
     return np.linspace(low, high, int(np.ceil((high - low) / step)) + 1)
 
 
-def _table(
-    description: RobotDescription, numbers: TrunkNumbers, heights: FloatArray, pitches: FloatArray
-) -> FloatArray:
+@cache
+def _table(description: RobotDescription) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return heights (H,) [m], pitches (P,) [rad], and what they ask for (H, P, 14) as in TrunkPose."""
+    numbers = description.trunk_numbers
+    if numbers is None:
+        raise AssetError(f"{description.name} has no [trunk] in its robot.toml: it cannot crouch or lean")
+    heights = _steps(*numbers.height, HEIGHT_STEP)
+    pitches = _steps(*numbers.pitch, PITCH_STEP)
     statics = _Statics(description, numbers)
     table = np.empty((len(heights), len(pitches), 2 * HIND + 2))
     for row, height in enumerate(heights):
         for column, pitch in enumerate(pitches):
             table[row, column] = statics.at(float(height), float(pitch))
-    return table
+    return heights, pitches, table
 
 
 class _Statics:
@@ -130,6 +129,7 @@ class _Statics:
         self._at_q = np.array([joint.idx_q for joint in joints])
         self._hind = np.array([joint.idx_v for joint in joints])[HIND:]
         self._weight = GRAVITY * sum(inertia.mass for inertia in self._model.inertias)
+        self._frames = [self._model.getFrameId(name, pin.FrameType.OP_FRAME) for name in TOES[2:]]
         self._legs = all_legs(description)[2:]
         self._q = np.concatenate([description.poses["upright"][:HIND], numbers.stance])
         self._turn = pin.utils.rotate("y", numbers.lean - 0.5 * np.pi)
@@ -171,12 +171,10 @@ class _Statics:
     def _carried(self, q: FloatArray, turn: FloatArray) -> FloatArray:
         """Return the torques (6,) [N m] with which the hind legs carry the robot, half of it each."""
         self._model.gravity.linear = turn.T @ np.array([0.0, 0.0, -GRAVITY])
-        torque = pin.computeGeneralizedGravity(self._model, self._data, self._full(q))[self._hind]
+        full = self._full(q)
+        torque = pin.computeGeneralizedGravity(self._model, self._data, full)
         force = turn.T @ np.array([0.0, 0.0, 0.5 * self._weight])
-        legs = zip(self._legs, q[HIND:].reshape(2, 3), strict=True)
-        return torque - np.concatenate([_jacobian(leg, joints).T @ force for leg, joints in legs])
-
-
-def _jacobian(leg: Leg, q: FloatArray) -> FloatArray:
-    steps = STEP * np.eye(3)
-    return np.stack([(leg.forward(q + step) - leg.forward(q - step)) / (2 * STEP) for step in steps], axis=-1)
+        for toe in self._frames:
+            jacobian = pin.computeFrameJacobian(self._model, self._data, full, toe, pin.LOCAL_WORLD_ALIGNED)
+            torque = torque - jacobian[:3].T @ force
+        return torque[self._hind]

@@ -13,7 +13,7 @@ from mimic.policy.contract import AHEAD, FRONT, PolicyContract, lead_time
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import draw_goals, leg_joints
-from mimic.robot.trunk import TrunkPoses
+from mimic.robot.trunk import HIND, TrunkPoses
 from mimic.train.tensors import Chance, in_heading_frame, put
 
 POOL = 20_000
@@ -163,9 +163,9 @@ class TrunkSchedule(Chance):
         self._time = self._zeros()
         self._length = self._zeros() + 1.0
         self._hold = self._zeros()
-        self._sent = self._zeros(self._lag + 2, 2 * FRONT + 4)
+        self._sent = self._zeros(self._lag + 2, 2 * HIND + 4)
         """Joints, torques, base, height and pitch of the newest commands, newest first (N, lag + 2, 16)."""
-        self.targets = self._zeros(2 * FRONT)
+        self.targets = self._zeros(FRONT + HIND)
         """What position targets change by (N, 12) [rad]."""
 
     def _seen(self) -> torch.Tensor:
@@ -177,27 +177,32 @@ class TrunkSchedule(Chance):
     @property
     def joints(self) -> torch.Tensor:
         """What all joints are off by now (N, 12) [rad]."""
-        return torch.nn.functional.pad(self._seen()[:, :FRONT], (FRONT, 0))
+        return torch.nn.functional.pad(self._seen()[:, :HIND], (FRONT, 0))
 
     @property
     def joint_rates(self) -> torch.Tensor:
         """Its rate (N, 12) [rad/s]."""
-        return torch.nn.functional.pad(self._rate(self._lag)[:, :FRONT], (FRONT, 0))
+        return torch.nn.functional.pad(self._rate(self._lag)[:, :HIND], (FRONT, 0))
 
     @property
     def base(self) -> torch.Tensor:
         """How far the base is forward and up (N, 2) [m]."""
-        return self._seen()[:, 2 * FRONT : 2 * FRONT + 2]
+        return self._seen()[:, 2 * HIND : 2 * HIND + 2]
 
     @property
     def base_rate(self) -> torch.Tensor:
         """Its rate (N, 2) [m/s]."""
-        return self._rate(self._lag)[:, 2 * FRONT : 2 * FRONT + 2]
+        return self._rate(self._lag)[:, 2 * HIND : 2 * HIND + 2]
 
     @property
     def asked(self) -> torch.Tensor:
         """Height [m] and pitch [rad] that joints and base are of (N, 2)."""
-        return self._seen()[:, 2 * FRONT + 2 :]
+        return self._seen()[:, 2 * HIND + 2 :]
+
+    @property
+    def pitch(self) -> torch.Tensor:
+        """The pitch of these (N,) [rad]."""
+        return self._seen()[:, -1]
 
     @property
     def pitch_rate(self) -> torch.Tensor:
@@ -223,7 +228,7 @@ class TrunkSchedule(Chance):
         newest = torch.cat([*pose, now], -1)
         self._sent.copy_(torch.cat([newest[:, None], self._sent[:, :-1]], 1))
         kp, kd = self._gains
-        change = pose.joints + (kd * self._rate(0)[:, :FRONT] + pose.torque) / kp
+        change = pose.joints + (kd * self._rate(0)[:, :HIND] + pose.torque) / kp
         self.targets[:, FRONT:].copy_(change)
 
     def reset(self, mask: torch.Tensor) -> None:

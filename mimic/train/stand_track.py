@@ -18,7 +18,7 @@ from mimic.config.training import MdpSettings
 from mimic.dynamics.cuda_graphs import Replayed
 from mimic.dynamics.robot_model import command_in_effect
 from mimic.errors import ConfigError
-from mimic.geometry import heading_sin_cos, upright_cosine
+from mimic.geometry import heading_sin_cos, upright_cosine, without_pitch, without_pitch_rate
 from mimic.io.store import plain
 from mimic.policy.contract import (
     AVERAGED,
@@ -350,10 +350,7 @@ class StandTrackEnv(VecEnv, Chance):
         as if the trunk were not leant.
         """
         w = self.worlds
-        half = 0.5 * self.trunk.asked[:, 1]
-        zero = torch.zeros_like(half)
-        back = torch.stack([torch.cos(half), zero, -torch.sin(half), zero], -1)
-        self._quat_WB = quat_multiply(quat_multiply(w.slope_quat, w.qpos[:, 3:7]), back)
+        self._quat_WB = without_pitch(quat_multiply(w.slope_quat, w.qpos[:, 3:7]), self.trunk.pitch, torch)
         self._heading.copy_(torch.arctan2(*heading_sin_cos(*self._quat())))  # both captured graphs read it
         self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
 
@@ -642,14 +639,6 @@ class StandTrackEnv(VecEnv, Chance):
         unknown = (self._rand() < self.settings.unknown_share) | self.disturbances.led
         put(self._known, mask, (~unknown).float())
 
-    def _unleant(self, omega: torch.Tensor) -> torch.Tensor:
-        """Return an angular velocity (N, 3) [rad/s] in the axes of a base that is not leant, less that of leaning."""
-        x, y, z = omega.unbind(-1)
-        pitch = self.trunk.asked[:, 1]
-        c = torch.cos(pitch)
-        s = torch.sin(pitch)
-        return torch.stack([c * x + s * z, y - self.trunk.pitch_rate, c * z - s * x], -1)
-
     def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
         w = self.worlds
         n = self.num_envs
@@ -658,7 +647,7 @@ class StandTrackEnv(VecEnv, Chance):
         gait = next_gait(self._gait, self.moves.velocity, error, self.contract, torch)
         self._gait.copy_(torch.where(self._rank < self._rest_share, gait, torch.ones_like(gait)))
         omega = quat_rotate(self.disturbances.mount, w.qvel[:, 3:6], inverse=True) + self.disturbances.gyro_bias
-        omega = self._unleant(omega)
+        omega = without_pitch_rate(omega, self.trunk.pitch, self.trunk.pitch_rate, torch)
         frame = observation_frame(
             terms=self.contract.terms,
             q_offset=w.read_q - self._default_q - self.trunk.joints,

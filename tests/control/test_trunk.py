@@ -9,21 +9,11 @@ import pytest
 
 from mimic.control.trunk import Trunk
 from mimic.flows.play import play
-from mimic.geometry import rotation_from_quat
+from mimic.geometry import forward_lean
 from mimic.records import CommandTrack, JointCommand, RobotState
 from mimic.robot.trunk import TrunkPoses
 
 LEAN = np.array([np.cos(-0.75), 0.0, np.sin(-0.75), 0.0])
-
-
-def forward_lean(quat_WB: np.ndarray) -> np.ndarray:
-    """Angle of base x (T,) [rad] from the vertical, to the belly."""
-    rotation = rotation_from_quat(quat_WB)
-    belly = -rotation[..., 2]
-    belly[..., 2] = 0.0
-    belly /= np.linalg.norm(belly, axis=-1, keepdims=True)
-    up = rotation[..., 0]
-    return np.arctan2((up * belly).sum(axis=-1), up[..., 2])
 
 
 def state(description) -> RobotState:

@@ -12,7 +12,7 @@ import numpy as np
 from lab.policies.studies.settings import TrunkSettings
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
 from mimic.evaluation.policy import standing_track, stands_at_end
-from mimic.geometry import rotation_from_quat
+from mimic.geometry import forward_lean
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
 from mimic.records import FloatArray
@@ -39,16 +39,6 @@ class _Job(Job):
     """Farthest [rad]."""
     repeats: bool
     """Whether the trunk goes down and up again and again, or stays."""
-
-
-def forward_lean(quat_WB: FloatArray) -> FloatArray:
-    """Return the angle of base x (T,) [rad] from the vertical, toward the belly."""
-    rotation = rotation_from_quat(quat_WB)
-    belly = -rotation[..., 2]
-    belly[..., 2] = 0.0
-    belly /= np.linalg.norm(belly, axis=-1, keepdims=True)
-    up = rotation[..., 0]
-    return np.arctan2((up * belly).sum(axis=-1), up[..., 2])
 
 
 def _share(t: FloatArray, *, repeats: bool) -> FloatArray:
