@@ -15,7 +15,7 @@ import numpy as np
 
 from mimic.config.play import RunSettings
 from mimic.control.desired import HOLD, TRACK, DesiredMotion, LiveMotion, StoredMotion
-from mimic.control.odometry import KeptDistance
+from mimic.control.odometry import HeldPosition, KeptDistance
 from mimic.control.plant import Plant, damping_command
 from mimic.control.safety.safety_rules import FAILURE
 from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
@@ -110,13 +110,15 @@ def run_policy(
     sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
     report = None if progress is None else partial(_report, progress, expected + sit_ticks)
     run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
-    distance = None
+    position: HeldPosition | KeptDistance | None = None
     if isinstance(track, CommandTrack) and track.keeps_distance and track.v.any():
-        distance = KeptDistance(track, plant.description)
+        position = KeptDistance(track, plant.description)
+    elif settings.hold_position:
+        position = HeldPosition(plant.description)
     error: Exception | None = None
     try:
         with safety.signals.interrupts_counted() if counted else nullcontext():
-            error = _play(run, policy, motion, sit_down, sit_ticks, distance)
+            error = _play(run, policy, motion, sit_down, sit_ticks, position)
     finally:
         plant.close()
     events = tuple(safety.supervisor.events)
@@ -175,7 +177,7 @@ def _play(
     motion: DesiredMotion,
     sit_down: Policy | None,
     sit_ticks: int,
-    distance: KeptDistance | None,
+    position: HeldPosition | KeptDistance | None,
 ) -> Exception | None:
     """Ramp, follow, sit down and damp; return what failed, after damping the robot."""
     safety = run.safety
@@ -184,7 +186,7 @@ def _play(
         if safety.ramp > 0.0:
             start(run)
         if run.mode == SafetyMode.RUN:
-            _follow(run, policy, motion, distance)
+            _follow(run, policy, motion, position)
         if run.mode <= SafetyMode.SIT_DOWN and sit_down is not None:
             _sit_down(run, sit_down, sit_ticks)
         if run.mode < SafetyMode.DAMP:
@@ -205,7 +207,7 @@ def _play(
     return None
 
 
-def _follow(run: Run, policy: Policy, motion: DesiredMotion, distance: KeptDistance | None) -> None:
+def _follow(run: Run, policy: Policy, motion: DesiredMotion, position: HeldPosition | KeptDistance | None) -> None:
     """Stand up, blend, track and hold, until the motion is over or the supervisor ends it."""
     builder = ObservationBuilder(policy.contract)
     heading0 = float(heading_from_quat(run.sensed.quat_WB))
@@ -215,8 +217,8 @@ def _follow(run: Run, policy: Policy, motion: DesiredMotion, distance: KeptDista
             return
         asked = desired.command
         command = replace(asked, heading=heading0 + asked.heading)
-        if distance is not None and desired.phase in (TRACK, HOLD):
-            command = distance.corrected(command, run.sensed.q, run.sensed.quat_WB)
+        if position is not None and desired.phase in (TRACK, HOLD):
+            command = position.corrected(command, run.sensed.q, run.sensed.quat_WB)
         run.tick(policy, builder, desired.phase, command, desired.arms)
         if run.mode > SafetyMode.RUN:
             return

@@ -40,7 +40,7 @@ J = TypeVar("J")
 R = TypeVar("R")
 L = TypeVar("L", bound=Record)
 
-TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0)
+TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0, hold_position=False)
 """One second to stand up, as in the paper, then half a second to the first goal. Logs begin where the policy does."""
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.control.odometry import CORRECTED, KeptDistance, LegOdometry
+from mimic.control.odometry import CORRECTED, HOLDING, MOST, RESPONSE, HeldPosition, KeptDistance, LegOdometry
 from mimic.records import Command, CommandTrack
 
 UPRIGHT = np.array([np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0])
@@ -27,20 +27,18 @@ def test_a_robot_whose_legs_rest_has_not_moved(description):
     assert not np.any([odometry.step(q, UPRIGHT) for _ in range(5)])
 
 
+def leant(degrees: float) -> np.ndarray:
+    """Return the orientation of an upright base that leans forward, or backward."""
+    half = np.deg2rad(degrees) / 2
+    w, _, y, _ = UPRIGHT
+    return np.array([w * np.cos(half) - y * np.sin(half), 0.0, y * np.cos(half) + w * np.sin(half), 0.0])
+
+
 def test_a_base_that_leans_over_planted_feet_moves_where_it_leans(description):
     odometry = LegOdometry(description)
     q = description.poses["upright"]
     odometry.step(q, UPRIGHT)
-    lean = np.deg2rad(5.0) / 2
-    forward = np.array(
-        [
-            UPRIGHT[0] * np.cos(lean) - UPRIGHT[2] * np.sin(lean),
-            0.0,
-            UPRIGHT[2] * np.cos(lean) + UPRIGHT[0] * np.sin(lean),
-            0.0,
-        ]
-    )
-    assert odometry.step(q, forward)[0] > 0.0
+    assert odometry.step(q, leant(5.0))[0] > 0.0
 
 
 @pytest.mark.parametrize("speed", [0.1, -0.1])
@@ -66,3 +64,28 @@ def test_a_robot_that_is_where_it_should_be_stands(description):
     for _ in range(50):
         kept.corrected(command(0.5 * CORRECTED), q, UPRIGHT)
     assert kept.corrected(command(0.0), q, UPRIGHT).v[0] == 0.0
+
+
+def held(description, orientations, *, speed: float = 0.0) -> list[float]:
+    """Return the velocities [m/s] asked of a robot whose base has these orientations over planted feet."""
+    position = HeldPosition(description)
+    q = description.poses["upright"]
+    return [position.corrected(command(speed), q, quat_WB).v[0] for quat_WB in orientations]
+
+
+@pytest.mark.parametrize("degrees", [4.0, -4.0])
+def test_a_robot_that_was_moved_is_asked_to_come_back(description, degrees):
+    before = round(RESPONSE / description.dt) + 5
+    asked = held(description, [UPRIGHT] * before + [leant(degrees)] * 100)
+    assert not np.any(asked[:before])
+    assert asked[-1] * degrees < 0.0
+    assert np.max(np.abs(asked)) <= HOLDING * MOST
+
+
+def test_where_a_robot_comes_to_a_stand_it_stays(description):
+    seconds = round(0.5 * RESPONSE / description.dt)
+    assert not np.any(held(description, [UPRIGHT] * 5 + [leant(4.0)] * seconds))
+
+
+def test_a_walk_is_as_fast_as_asked(description):
+    assert set(held(description, [UPRIGHT] * 100 + [leant(4.0)] * 100, speed=0.2)) == {0.2}

@@ -49,6 +49,8 @@ BEARS = 0.2
 STANDING: dict[str, dict[str, Any]] = {
     "as described": {},
     "the paper's noise": {"senses": SENSES["the paper's noise"]},
+    "position held": {"hold_position": True},
+    "position held, noise": {"hold_position": True, "senses": SENSES["the paper's noise"]},
     "impratio 1": {"impratio": 1.0},
     "IMU pitched by 1 deg": {"disturbance": Disturbance(imu_tilt=1.0, imu_axis="pitch")},
 }
@@ -63,6 +65,7 @@ PULLED: dict[str, Any] = {"drag_from": PUSHED_AT, "drag_ramp": 1.5, "drag_second
 class _Job(Job):
     what: str
     impratio: float | None = None
+    hold_position: bool = False
     senses: Senses = SENSES["no noise"]
 
 
@@ -141,7 +144,8 @@ def _play(job: _Job, policy: Policy) -> dict[str, Any]:
     if stands:
         plant.watch(planted)
     track = standing_track(policy, job.seconds)
-    result = play_episode(plant, SensingPolicy(policy, job.senses, job.seed), track, TIMING)
+    timing = replace(TIMING, hold_position=job.hold_position)
+    result = play_episode(plant, SensingPolicy(policy, job.senses, job.seed), track, timing)
     figures: dict[str, Any] = {"kind": job.kind, "what": job.what, "seed": job.seed}
     figures["stands"] = stands_at_end(result, description)
     if not stands or not figures["stands"]:

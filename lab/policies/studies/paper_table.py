@@ -39,7 +39,7 @@ from mimic.records import JOINTS, LEGS, CommandTrack, FloatArray, RunLog
 from mimic.robot.description import RobotDescription
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
-TIMING = RunSettings(stand_up=1.0, blend=0.1, hold_last=0.0)
+TIMING = RunSettings(stand_up=1.0, blend=0.1, hold_last=0.0, hold_position=False)
 """As in the paper the first goal is approached from the neutral toes over 3 s, after 50 steps; the run loop commands no
 velocity and no turn before, where the paper does."""
 
