@@ -21,6 +21,7 @@ from lab.policies.studies.paper_table import evaluate_table
 from lab.policies.studies.robustness import evaluate_robustness
 from lab.policies.studies.settings import CalmSettings, RobustnessSettings, StandUpSettings, TableSettings
 from lab.policies.studies.stand_up import evaluate_stand_up
+from lab.policies.studies.walking import ARMS
 from mimic.io.store import sha256_of
 from mimic.policy.runtime import cached_policy
 from mimic.robot.description import load_description
@@ -72,9 +73,9 @@ def walking_table(found: list[dict[str, Any]], unit: str) -> str:
         cells = by_asked.setdefault(row[f"asked_{unit}"], [])
         cells += [("–" if value is None else f"{value:+.2f}") + fell]
         cells += ["–" if height is None else f"{100 * height:.1f}"]
-    still, moving = ((f"reached, arms {arms}", "steps [cm]") for arms in ("still", "moving"))
+    heads = [name for arms in ARMS for name in (f"reached, arms {arms}", "steps [cm]")]
     return rows(
-        (f"asked [{unit.replace('_', '/')}]", *still, *moving),
+        (f"asked [{unit.replace('_', '/')}]", *heads),
         [(f"{asked:+.2f}", *cells) for asked, cells in by_asked.items()],
     )
 

@@ -34,7 +34,7 @@ class RunSettings:
     sit_down: float = 2.5
     """Time to sit down at the end [s]; the policy needs about half."""
     hold_position: bool = True
-    """Bring a robot that is asked to stand back to where it stood, by its leg odometry."""
+    """Bring a robot that drifts back to where it stood, and let it come as far as it is asked to, by leg odometry."""
     arms: Literal["network", "inverse_kinematics"] | None = None
     """Who moves the front legs; default: what the policy's contract says."""
 

@@ -111,10 +111,9 @@ def run_policy(
     report = None if progress is None else partial(_report, progress, expected + sit_ticks)
     run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
     position: HeldPosition | KeptDistance | None = None
-    if isinstance(track, CommandTrack) and track.keeps_distance and track.v.any():
-        position = KeptDistance(track, plant.description)
-    elif settings.hold_position:
-        position = HeldPosition(plant.description)
+    if settings.hold_position:
+        walks = isinstance(track, CommandTrack) and track.v.any()
+        position = KeptDistance(track, plant.description) if walks else HeldPosition(plant.description)
     error: Exception | None = None
     try:
         with safety.signals.interrupts_counted() if counted else nullcontext():

@@ -131,8 +131,6 @@ class CommandTrack(Record):
     does."""
     robot: str = ""
     """Name of the robot whose toes these are; empty where not known."""
-    keeps_distance: bool = False
-    """Whether the velocity is corrected until the robot has come as far as it says."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)

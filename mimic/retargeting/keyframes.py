@@ -43,5 +43,5 @@ def keyframe_commands(motion: KeyFrames, reach: Reach, settings: RetargetSetting
     v = np.array([frame.velocity for frame in motion.frames])[row]
     goals = np.array([(0.0, 0.0), *(frame.trunk for frame in motion.frames)])
     targets = dataclasses.replace(targets, trunk=PchipInterpolator(times, goals, axis=0)(t))
-    commands = dataclasses.replace(command_track(targets), v=v, keeps_distance=True)
+    commands = dataclasses.replace(command_track(targets), v=v)
     return commands, targets

@@ -25,8 +25,9 @@ SPEEDS = (-0.6, -0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45, 0.6)
 TURNS = (-1.0, -0.5, 0.5, 1.0)
 """Asked turning rates [rad/s], to the left positive."""
 
-ARMS = ("still", "moving")
-"""Front toes at rest in the neutral place, or on the way to random goals."""
+ARMS = ("still", "moving", "still, way kept")
+"""Front toes at rest in the neutral place, or on the way to random goals; the last with leg odometry, as motions are
+played."""
 
 SECONDS = 12.0
 """Length of a walk, standing up included [s]."""
@@ -87,13 +88,14 @@ def _play(job: _Job, policy: Policy) -> dict[str, Any]:
     description = replace(described, commands=beyond)  # or faster commands would be clamped to the trained ones
     track = asked_by(job, description)
     track = replace(track, heading=job.turning * track.t)
-    if job.arms == "still":
+    if job.arms != "moving":
         neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
         track = replace(track, p_BE=np.broadcast_to(neutral, track.p_BE.shape).copy())
     plant = job.plant(description)
     lifts = _Lifts(plant.model, description)
     plant.watch(lifts)
-    result = play_episode(plant, policy, track, TIMING)
+    timing = replace(TIMING, hold_position=job.arms == "still, way kept")
+    result = play_episode(plant, policy, track, timing)
     return {
         "speed": forward_speed(result.log, WALKS_FROM),
         "turn": turning_rate(result.log, WALKS_FROM),
