@@ -79,7 +79,7 @@ class Process:
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
-                env=os.environ | {"COLUMNS": "500", "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
+                env=os.environ | {"COLUMNS": "500", "PYTHONUNBUFFERED": "1"},
                 start_new_session=True,
             )
 

@@ -56,8 +56,15 @@ def inside_network(arguments: list[str]) -> int | None:
 
 def through_network(arguments: list[str]) -> list[str]:
     """Return the command that runs this benchmark with other arguments inside a network of its own."""
-    inside = ["env", f"{INSIDE}=1", f"PYTHONPATH={ROOT}"]
-    return [*inside, str(require_built() / "run.sh"), sys.executable, "-m", "lab.stock_firmware", *arguments]
+    return [
+        "env",
+        f"{INSIDE}=1",
+        str(require_built() / "run.sh"),
+        sys.executable,
+        "-m",
+        "lab.stock_firmware",
+        *arguments,
+    ]
 
 
 class Bench:

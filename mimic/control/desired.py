@@ -17,7 +17,7 @@ from mimic.geometry import smoothstep
 from mimic.policy.contract import INVERSE_KINEMATICS, PolicyContract
 from mimic.records import PHASES, Command, CommandTrack, FloatArray, LiveCommands
 from mimic.robot.description import RobotDescription
-from mimic.robot.leg_kinematics import front_toes
+from mimic.robot.leg_kinematics import front_legs, front_toes
 
 STAND_UP, BLEND, TRACK, HOLD = (PHASES.index(name) for name in ("stand_up", "blend", "track", "hold"))
 
@@ -165,3 +165,23 @@ class LiveMotion:
         if row < 0:
             return Desired(phase=BLEND, command=timing.blending(tick, q, command), arms=arms)
         return Desired(phase=TRACK, command=command, arms=arms)
+
+
+def clamp_desired(
+    v_des: FloatArray, p_BE_des: FloatArray, description: RobotDescription
+) -> tuple[FloatArray, FloatArray, int]:
+    """Return velocity (2,) and toes (2, 3) inside their limits, and how many of them were clamped.
+
+    A toe beyond the length of its leg is clamped towards the hip axis; the finer limits are those of the retargeting.
+    """
+    v = np.clip(v_des, -description.commands.velocity, description.commands.velocity)
+    clamped = int(np.count_nonzero(v != v_des))
+    toes = np.array(p_BE_des, dtype=np.float64)
+    for side, leg in enumerate(front_legs(description)):
+        hip = leg.origin + np.array([0.0, leg.offset, 0.0])
+        longest = float(np.hypot(leg.thigh + np.hypot(leg.toe[0], leg.toe[2]), 2 * abs(leg.offset)))
+        away = float(np.linalg.norm(toes[side] - hip))
+        if away > longest:
+            toes[side] = hip + (toes[side] - hip) * longest / away
+            clamped += 1
+    return v, toes, clamped

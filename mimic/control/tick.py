@@ -11,6 +11,7 @@ import numpy as np
 
 from mimic.config.play import RAMP
 from mimic.control.arms import ArmGoal
+from mimic.control.desired import clamp_desired
 from mimic.control.dropouts import DropoutFilter
 from mimic.control.plant import Plant
 from mimic.control.recorder import RunRecorder, health_row
@@ -25,7 +26,7 @@ from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, PHASES, Command, FloatArray, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.arm_torques import ArmTorques
 from mimic.robot.description import RobotDescription
-from mimic.robot.leg_kinematics import front_legs, front_toes
+from mimic.robot.leg_kinematics import front_toes
 
 Sink = Callable[[Tick], None]
 """Called after each tick; must not block."""
@@ -310,26 +311,6 @@ class Run:
     def health_columns(self) -> dict[str, Any]:
         """Return the columns of the HealthLog."""
         return {name: np.array(values) for name, values in self._health.items()}
-
-
-def clamp_desired(
-    v_des: FloatArray, p_BE_des: FloatArray, description: RobotDescription
-) -> tuple[FloatArray, FloatArray, int]:
-    """Return velocity (2,) and toes (2, 3) inside their limits, and how many of them were clamped.
-
-    A toe beyond the length of its leg is clamped towards the hip axis; the finer limits are those of the retargeting.
-    """
-    v = np.clip(v_des, -description.commands.velocity, description.commands.velocity)
-    clamped = int(np.count_nonzero(v != v_des))
-    toes = np.array(p_BE_des, dtype=np.float64)
-    for side, leg in enumerate(front_legs(description)):
-        hip = leg.origin + np.array([0.0, leg.offset, 0.0])
-        longest = float(np.hypot(leg.thigh + np.hypot(leg.toe[0], leg.toe[2]), 2 * abs(leg.offset)))
-        away = float(np.linalg.norm(toes[side] - hip))
-        if away > longest:
-            toes[side] = hip + (toes[side] - hip) * longest / away
-            clamped += 1
-    return v, toes, clamped
 
 
 def clamp_command(command: JointCommand, description: RobotDescription) -> tuple[JointCommand, int]:

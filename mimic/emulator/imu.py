@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from mimic.errors import FrameError
 from mimic.geometry import multiply_quats, rotation_from_quat
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.wiring import ImuWiring
-from mimic.hardware.motors.imu import ORIENTATION_VALID, MtiSample, encode_mti
+from mimic.hardware.motors.imu import (
+    LENGTH,
+    NUMBERS,
+    ORIENTATION_VALID,
+    QUATERNION,
+    QUATERNION_SCALE,
+    RATE_OF_TURN,
+    RATE_SCALE,
+    MtiSample,
+)
 from mimic.records import FloatArray
 
 SELF_TEST_PASSED = 1
@@ -27,6 +38,31 @@ _MESSAGES = {
     "time": "sample_time",
 }
 """Message of each field of a sample, as the wiring names it."""
+
+
+def _words(values: FloatArray, scale: float) -> list[int]:
+    if not np.all(np.isfinite(values)):
+        raise FrameError(f"{values} cannot be sent; expected finite numbers")
+    return [int(w) for w in np.clip(np.rint(np.asarray(values) * scale), -32768, 32767)]
+
+
+def encode_mti(sample: MtiSample) -> list[CanFrame]:
+    """Return the frames of a sample in the order in which an MTi sends them; words saturate and are rounded.
+
+    Raises:
+        FrameError: If a number is not finite.
+    """
+    frames: list[tuple[int, bytes]] = []
+    for id, name in NUMBERS.items():
+        number = getattr(sample, name)
+        if number is not None:
+            size = LENGTH[id]
+            frames.append((id, (number & (1 << 8 * size) - 1).to_bytes(size, "big")))
+    if sample.quat_WI is not None:
+        frames.append((QUATERNION, struct.pack(">4h", *_words(sample.quat_WI, QUATERNION_SCALE))))
+    if sample.omega_I is not None:
+        frames.append((RATE_OF_TURN, struct.pack(">3h", *_words(sample.omega_I, RATE_SCALE))))
+    return [CanFrame(id, data, extended=False) for id, data in frames]
 
 
 class EmulatedMti:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from enum import IntFlag
 from typing import NamedTuple
 
 from mimic.errors import FrameError
@@ -27,7 +28,6 @@ from mimic.hardware.motors.cybergear.parameters import (
     SPD_KP,
     SPD_REF,
     VBUS,
-    DetailedFault,
     Fault,
     Kind,
     RunMode,
@@ -53,6 +53,21 @@ LOW_VOLTAGE = 16.0
 
 TIMEOUT_TICK = 50e-6
 """Unit of CAN_TIMEOUT in firmware that supports it [s]: that of the successor family (20000 = 1 s)."""
+
+
+class DetailedFault(IntFlag):
+    """Faults in a fault report; manual 4.1.14. The manual does not say more about the eight bits of overload."""
+
+    OVER_TEMPERATURE = 1 << 0
+    DRIVER_CHIP = 1 << 1
+    UNDER_VOLTAGE = 1 << 2
+    OVER_VOLTAGE = 1 << 3
+    PHASE_B_OVER_CURRENT = 1 << 4
+    PHASE_C_OVER_CURRENT = 1 << 5
+    NOT_CALIBRATED = 1 << 7
+    OVERLOAD = 0xFF << 8
+    PHASE_A_OVER_CURRENT = 1 << 16
+
 
 _DETAIL = {
     Fault.UNDER_VOLTAGE: DetailedFault.UNDER_VOLTAGE,

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mimic.control.tick import clamp_command, clamp_desired
+from mimic.control.desired import clamp_desired
+from mimic.control.tick import clamp_command
 from mimic.records import JointCommand
 from mimic.robot.goals import draw_goals
 from mimic.robot.leg_kinematics import front_legs

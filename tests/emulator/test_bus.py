@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from mimic.emulator.bus import EmulatedBus, Sent
-from mimic.hardware.can.frame import CanFrame, frame_bits
+from mimic.emulator.bus import EmulatedBus, Sent, arbitration_key
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.can.load import frame_bits
 
 LOW, HIGH = CanFrame(0x01000001, bytes(8)), CanFrame(0x04000001, bytes(8))
 MBIT = 1_000_000
@@ -72,3 +73,14 @@ def test_a_bus_that_is_off_takes_nothing_and_drops_what_waits():
     bus.off = False
     bus.submit("a", HIGH, 1.0)
     assert [sent.frame for sent in run(bus)] == [HIGH]
+
+
+def test_the_lower_identifier_wins_and_eleven_bits_before_twenty_nine():
+    order = [
+        CanFrame(0x021, b"", extended=False),
+        CanFrame(0x017FFF01, b""),  # an operation command: first eleven bits 0x05F
+        CanFrame(0x0400FD01, b""),  # stop: 0x100
+        CanFrame(0x100, b"", extended=False),
+    ]
+    winners = sorted(order, key=arbitration_key)
+    assert winners == [order[0], order[1], order[3], order[2]]

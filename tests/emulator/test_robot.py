@@ -10,10 +10,11 @@ import pytest
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
-from mimic.emulator.motor import ROTOR_TURN
+from mimic.emulator.motor import ROTOR_TURN, DetailedFault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, ConfigError
-from mimic.hardware.can.frame import CanFrame, Received, frame_bits
+from mimic.hardware.can.frame import CanFrame, Received
+from mimic.hardware.can.load import frame_bits
 from mimic.hardware.can.wiring import Wiring, load_wiring
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage, ParameterValue
 from mimic.hardware.motors.cybergear.parameters import (
@@ -26,7 +27,6 @@ from mimic.hardware.motors.cybergear.parameters import (
     RUN_MODE,
     SPD_REF,
     VBUS,
-    DetailedFault,
     Fault,
     Kind,
 )

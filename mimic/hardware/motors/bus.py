@@ -13,7 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mimic.errors import BusError, FrameError, PlantError, UnknownFrame
-from mimic.hardware.can.frame import CanFrame, Link, Received, frame_bits
+from mimic.hardware.can.frame import CanFrame, Link, Received
+from mimic.hardware.can.load import frame_bits
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors.imu import Imu, make_imu
 from mimic.hardware.motors.interface import (

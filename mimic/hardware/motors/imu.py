@@ -71,14 +71,14 @@ SAMPLE_TIME = 0x005
 GROUP_COUNTER = 0x006
 """Of the counter of samples."""
 
-_LENGTH = {QUATERNION: 8, RATE_OF_TURN: 6, STATUS_WORD: 4, SAMPLE_TIME: 4, GROUP_COUNTER: 2}
+LENGTH = {QUATERNION: 8, RATE_OF_TURN: 6, STATUS_WORD: 4, SAMPLE_TIME: 4, GROUP_COUNTER: 2}
 
-_NUMBERS = {SAMPLE_TIME: "time", GROUP_COUNTER: "counter", STATUS_WORD: "status"}
+NUMBERS = {SAMPLE_TIME: "time", GROUP_COUNTER: "counter", STATUS_WORD: "status"}
 """Field of each message that is one number, in the order in which an MTi sends them."""
 
-_QUATERNION_SCALE = 32767.0
+QUATERNION_SCALE = 32767.0
 """Word of 1. The maker's document divides quaternions by 32767, its DBC by 32768; normalised, both are one."""
-_RATE_SCALE = 512.0
+RATE_SCALE = 512.0
 """Word of 1 rad/s."""
 
 OTHER_OUTPUTS = frozenset(
@@ -113,45 +113,20 @@ def decode_mti(frame: CanFrame) -> MtiSample | None:
     Raises:
         FrameError: If its length is wrong, or its quaternion has no direction.
     """
-    if frame.extended or frame.id not in _LENGTH:
+    if frame.extended or frame.id not in LENGTH:
         return None
-    if len(frame.data) != _LENGTH[frame.id]:
-        raise FrameError(f"{frame} has {len(frame.data)} bytes; message 0x{frame.id:03X} has {_LENGTH[frame.id]}")
+    if len(frame.data) != LENGTH[frame.id]:
+        raise FrameError(f"{frame} has {len(frame.data)} bytes; message 0x{frame.id:03X} has {LENGTH[frame.id]}")
     if frame.id == QUATERNION:
-        quat = np.array(struct.unpack(">4h", frame.data)) / _QUATERNION_SCALE
+        quat = np.array(struct.unpack(">4h", frame.data)) / QUATERNION_SCALE
         length = float(np.linalg.norm(quat))
         if not 0.98 < length < 1.02:
             raise FrameError(f"{frame} is a quaternion of length {length:.3f}; expected 1")
         return MtiSample(quat_WI=quat / length)
     if frame.id == RATE_OF_TURN:
-        return MtiSample(omega_I=np.array(struct.unpack(">3h", frame.data)) / _RATE_SCALE)
-    number: dict[str, Any] = {_NUMBERS[frame.id]: int.from_bytes(frame.data, "big")}
+        return MtiSample(omega_I=np.array(struct.unpack(">3h", frame.data)) / RATE_SCALE)
+    number: dict[str, Any] = {NUMBERS[frame.id]: int.from_bytes(frame.data, "big")}
     return MtiSample(**number)
-
-
-def _words(values: FloatArray, scale: float) -> list[int]:
-    if not np.all(np.isfinite(values)):
-        raise FrameError(f"{values} cannot be sent; expected finite numbers")
-    return [int(w) for w in np.clip(np.rint(np.asarray(values) * scale), -32768, 32767)]
-
-
-def encode_mti(sample: MtiSample) -> list[CanFrame]:
-    """Return the frames of a sample in the order in which an MTi sends them; words saturate and are rounded.
-
-    Raises:
-        FrameError: If a number is not finite.
-    """
-    frames: list[tuple[int, bytes]] = []
-    for id, name in _NUMBERS.items():
-        number = getattr(sample, name)
-        if number is not None:
-            size = _LENGTH[id]
-            frames.append((id, (number & (1 << 8 * size) - 1).to_bytes(size, "big")))
-    if sample.quat_WI is not None:
-        frames.append((QUATERNION, struct.pack(">4h", *_words(sample.quat_WI, _QUATERNION_SCALE))))
-    if sample.omega_I is not None:
-        frames.append((RATE_OF_TURN, struct.pack(">3h", *_words(sample.omega_I, _RATE_SCALE))))
-    return [CanFrame(id, data, extended=False) for id, data in frames]
 
 
 class XsensMti:

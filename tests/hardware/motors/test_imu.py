@@ -6,10 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mimic.emulator.imu import encode_mti
 from mimic.errors import ConfigError, FrameError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.wiring import ImuWiring
-from mimic.hardware.motors.imu import MtiSample, XsensMti, decode_mti, encode_mti, make_imu
+from mimic.hardware.motors.imu import MtiSample, XsensMti, decode_mti, make_imu
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 rotations = st.tuples(*[st.floats(-3, 3)] * 3).map(lambda v: Rotation.from_rotvec(np.array(v)))

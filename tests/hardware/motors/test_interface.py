@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from mimic.errors import ConfigError, FrameError, UnknownFrame
-from mimic.hardware.can.frame import CanFrame, frame_bits
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.can.load import frame_bits
 from mimic.hardware.motors.bus import REPORTED
 from mimic.hardware.motors.cybergear.protocol import CyberGear
 from mimic.hardware.motors.interface import (

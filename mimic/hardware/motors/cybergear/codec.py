@@ -48,9 +48,6 @@ POSITION_RANGES = (4 * math.pi, 12.5)
 """The two ends of the position range that are in circulation [rad]: the manual's tables and ten libraries split between
 them. The scale differs by 0.53 %; ``CyberGear.check_range`` finds which one a motor uses."""
 
-BAUD_RATES = {1: 1_000_000, 2: 500_000, 3: 250_000, 4: 125_000}
-"""Code -> [bit/s]; manual 4.1.15."""
-
 WORDS = 65535
 """Steps in the range of a quantity."""
 _ROUNDING = 1e-6
@@ -89,7 +86,7 @@ class HostMessage:
     index: int = 0
     """Of the parameter of READ and WRITE."""
     value: float = 0.0
-    """Number to WRITE, id to SET_ID, BAUD_RATE [bit/s]; 1 where a STOP clears faults."""
+    """Number to WRITE, id to SET_ID; 1 where a STOP clears faults."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -167,11 +164,6 @@ class Codec:
                 data = struct.pack("<H6x", m.index)
             case Kind.WRITE:
                 data = _parameter_bytes(m.index, m.value)
-            case Kind.BAUD_RATE:
-                codes = {rate: code for code, rate in BAUD_RATES.items()}
-                if m.value not in codes:
-                    raise FrameError(f"the bit rate is {m.value:g}; a motor knows {', '.join(map(str, codes))}")
-                data = bytes([codes[int(m.value)]]) + bytes(7)
             case _:
                 pass
         return _frame(m.kind, area, m.motor, data)
@@ -284,11 +276,6 @@ class Codec:
             value = _value_of(frame)
         elif kind is Kind.STOP:
             value = float(data[0] == 1)
-        elif kind is Kind.BAUD_RATE:
-            if data[0] not in BAUD_RATES:
-                known = ", ".join(map(str, BAUD_RATES))
-                raise FrameError(f"{frame} has the bit-rate code {data[0]}; expected {known}")
-            value = BAUD_RATES[data[0]]
         return HostMessage(kind, motor, host, index=index, value=value)
 
 

@@ -39,20 +39,6 @@ class Fault(IntFlag):
     NOT_CALIBRATED = 32
 
 
-class DetailedFault(IntFlag):
-    """Faults in a fault report; manual 4.1.14. The manual does not say more about the eight bits of overload."""
-
-    OVER_TEMPERATURE = 1 << 0
-    DRIVER_CHIP = 1 << 1
-    UNDER_VOLTAGE = 1 << 2
-    OVER_VOLTAGE = 1 << 3
-    PHASE_B_OVER_CURRENT = 1 << 4
-    PHASE_C_OVER_CURRENT = 1 << 5
-    NOT_CALIBRATED = 1 << 7
-    OVERLOAD = 0xFF << 8
-    PHASE_A_OVER_CURRENT = 1 << 16
-
-
 class RunMode(IntEnum):
     """Values of the parameter RUN_MODE; it must not change while the motor runs."""
 
