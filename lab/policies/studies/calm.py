@@ -49,10 +49,10 @@ BEARS = 0.2
 STANDING: dict[str, dict[str, Any]] = {
     "as described": {},
     "the paper's noise": {"senses": SENSES["the paper's noise"]},
-    "position held": {"hold_position": True},
-    "position held, noise": {"hold_position": True, "senses": SENSES["the paper's noise"]},
     "impratio 1": {"impratio": 1.0},
     "IMU pitched by 1 deg": {"disturbance": Disturbance(imu_tilt=1.0, imu_axis="pitch")},
+    "position held": {"hold_position": True},
+    "position held, noise": {"hold_position": True, "senses": SENSES["the paper's noise"]},
 }
 """Ways of standing, each with what differs; the first one counts. At MuJoCo's impratio of 1 feet creep under load."""
 
