@@ -24,6 +24,12 @@ FRICTION_SPEED = 0.1
 LEG = 3
 """Joints of a leg: abad about x, hip and knee about y."""
 
+NEXT = (1, 2, 0)
+"""Coordinate after each of x, y, z."""
+
+LAST = (2, 0, 1)
+"""Coordinate before each of x, y, z."""
+
 
 class ArmTorques:
     """Torques of the front legs of a robot as described."""
@@ -96,7 +102,7 @@ class ArmTorques:
                 move = move + _carried(arm, spin, twist, xp)
                 place = place + arm
             rate = dq[..., k, None]
-            twist = twist + axis * ddq[..., k, None] + rate * xp.linalg.cross(spin, axis)
+            twist = twist + axis * ddq[..., k, None] + rate * _cross(spin, axis, xp)
             spin = spin + rate * axis
             lever = _times(turns[k], self._lever[:, k])
             inertia = turns[k] @ self._inertia[:, k] @ xp.swapaxes(turns[k], -1, -2)
@@ -104,10 +110,10 @@ class ArmTorques:
             places.append(place)
             centres.append(place + lever)
             forces.append(self._mass[:, k, None] * (move + _carried(lever, spin, twist, xp)))
-            moments.append(_times(inertia, twist) + xp.linalg.cross(spin, momentum))
+            moments.append(_times(inertia, twist) + _cross(spin, momentum, xp))
         torques = []
         for k, axis in enumerate(axes):
-            moment = sum(moments[i] + xp.linalg.cross(centres[i] - places[k], forces[i]) for i in range(k, LEG))
+            moment = sum(moments[i] + _cross(centres[i] - places[k], forces[i], xp) for i in range(k, LEG))
             torques.append((axis * moment).sum(-1))
         return xp.stack(torques, -1)
 
@@ -138,4 +144,10 @@ def _times(matrix: Any, vector: Any) -> Any:
 
 def _carried(arm: Any, spin: Any, twist: Any, xp: Any) -> Any:
     """Return the acceleration that turning gives to a point at the end of an arm."""
-    return xp.linalg.cross(twist, arm) + xp.linalg.cross(spin, xp.linalg.cross(spin, arm))
+    return _cross(twist, arm, xp) + _cross(spin, _cross(spin, arm, xp), xp)
+
+
+def _cross(a: Any, b: Any, xp: Any) -> Any:
+    if xp is not np:
+        return xp.linalg.cross(a, b)
+    return a.take(NEXT, -1) * b.take(LAST, -1) - a.take(LAST, -1) * b.take(NEXT, -1)  # NumPy's own takes four times as long
