@@ -148,6 +148,7 @@ def _carried(arm: Any, spin: Any, twist: Any, xp: Any) -> Any:
 
 
 def _cross(a: Any, b: Any, xp: Any) -> Any:
+    """Return a x b (..., 3); of a few vectors, NumPy's own takes six times as long."""
     if xp is not np:
         return xp.linalg.cross(a, b)
-    return a.take(NEXT, -1) * b.take(LAST, -1) - a.take(LAST, -1) * b.take(NEXT, -1)  # NumPy's own takes four times as long
+    return a.take(NEXT, -1) * b.take(LAST, -1) - a.take(LAST, -1) * b.take(NEXT, -1)
