@@ -49,15 +49,15 @@ def rotation_from_quat(quat_AB: Any) -> NDArray[np.float64]:
 
 def multiply_quats(quat_AB: Any, quat_BC: Any) -> NDArray[np.float64]:
     """Return quat_AC (..., 4) of two rotations one after the other, wxyz."""
-    a, b, c, d = np.moveaxis(np.asarray(quat_AB, dtype=np.float64), -1, 0)
-    w, x, y, z = np.moveaxis(np.asarray(quat_BC, dtype=np.float64), -1, 0)
+    a, b, c, d = quat_parts(quat_AB)
+    w, x, y, z = quat_parts(quat_BC)
     parts = (
         a * w - b * x - c * y - d * z,
         a * x + b * w + c * z - d * y,
         a * y - b * z + c * w + d * x,
         a * z + b * y - c * x + d * w,
     )
-    return np.stack(parts, axis=-1)
+    return np.array(parts) if isinstance(parts[0], float) else np.stack(parts, axis=-1)
 
 
 def turned_about_up(quat_WB: Any, angle: float) -> NDArray[np.float64]:

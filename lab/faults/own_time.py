@@ -134,7 +134,14 @@ class _Run:
 
 
 def play(
-    robot: str, seed: int, folder: Path, kind: str | None = None, at: float | None = None, seconds: float = TRACK
+    robot: str,
+    seed: int,
+    folder: Path,
+    kind: str | None = None,
+    at: float | None = None,
+    seconds: float = TRACK,
+    *,
+    tested: bool = True,
 ) -> dict[str, Any]:
     """Play a run with the fault of a seed and return how it ended.
 
@@ -145,6 +152,7 @@ def play(
         kind: One of CASES; by default drawn too.
         at: When it begins, after the robot is ready [s], to stay; by default drawn too.
         seconds: For how long it follows commands [s].
+        tested: Test its joints before it stands up.
     """
     rng = np.random.default_rng([seed, 47, len(robot)])
     kind = str(rng.choice(cases(robot, "own_time"))) if kind is None else kind
@@ -163,7 +171,7 @@ def play(
     recorder = FullDisk(folder, policies[0].contract.observation_size, {"dt": description.dt})
     run = _Run(kind, start, lasts, scene, recorder)
     supervisor = Supervisor(description)
-    safety = Safety(supervisor=supervisor, signals=run.signals, recorder=recorder, ramp=RAMP)
+    safety = Safety(supervisor=supervisor, signals=run.signals, recorder=recorder, ramp=RAMP, tested=tested)
     track = command_script(description, seconds, rng)
     if kind == "target_nan":
         toes = track.p_BE.copy()

@@ -319,8 +319,9 @@ def _read(path: Path) -> RobotDescription:
         raise AssetError(f"{path} is not a robot description: {reason}") from None
 
 
+@cache
 def with_timestep(description: RobotDescription, timestep: float) -> RobotDescription:
-    """Return the robot with another physics step [s] at the same control step.
+    """Return the robot with another physics step [s] at the same control step, the same object each time.
 
     Raises:
         ConfigError: If the control step is no multiple of it.

@@ -63,7 +63,12 @@ def folder(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def played(folder) -> tuple[int, Path]:
     out = folder.parent / "out"
+    left_by_a_kill(out).mkdir(parents=True)
     return main(["batch", str(folder), "-o", str(out), *OPTIONS]), out
+
+
+def left_by_a_kill(out: Path) -> Path:
+    return out / "items" / ".a-0123.99.part"
 
 
 def rows(out: Path) -> dict[str, dict[str, Any]]:
@@ -180,12 +185,8 @@ def test_ctrl_c_leaves_nothing_half_written_and_the_next_goes_on(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_a_killed_batch_left_is_swept_away(tmp_path):
-    someone(tmp_path / "in" / "a.npz", 0.1)
-    left = tmp_path / "out" / "items" / ".a-0123.99.part"
-    left.mkdir(parents=True)
-    assert main(["batch", str(tmp_path / "in"), "-o", str(tmp_path / "out"), *OPTIONS]) == 0
-    assert not left.exists()
+def test_what_a_killed_batch_left_is_swept_away(played):
+    assert not left_by_a_kill(played[1]).exists()
 
 
 @pytest.mark.slow

@@ -80,17 +80,13 @@ def in_a_process(code: str) -> list[str]:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["train", "--help"], ["nowhere.mp4"]])
-def test_no_heavy_library_is_loaded_to_answer(arguments):
+def test_no_heavy_library_is_loaded_to_answer():
     code = (
-        f"import sys\nfrom mimic.cli import main\nmain({arguments!r})\nprint([m for m in {HEAVY} if m in sys.modules])"
+        "import sys\nfrom mimic.cli import main\n"
+        "for line in ('--help', '--version', 'train --help', 'nowhere.mp4'): main(line.split())\n"
+        f"print([m for m in {HEAVY} if m in sys.modules])"
     )
     assert in_a_process(code)[-1] == "[]"
-
-
-@pytest.mark.parametrize("module", ["mimic", "mimic.cli"])
-def test_importing_it_loads_no_heavy_library(module):
-    assert in_a_process(f"import sys, {module}\nprint([m for m in {HEAVY} if m in sys.modules])")[-1] == "[]"
 
 
 def test_help_lists_the_commands_and_the_options(capsys):
@@ -121,11 +117,6 @@ def test_each_command_has_its_help(command, capsys):
 def test_version_is_that_of_the_package(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.strip() == __version__
-
-
-def test_it_runs_as_a_module():
-    shown = subprocess.run([sys.executable, "-m", "mimic", "--version"], check=True, capture_output=True, text=True)
-    assert shown.stdout.strip() == __version__
 
 
 def test_what_a_terminal_cannot_show_becomes_a_question_mark():
@@ -333,15 +324,6 @@ def test_targets_that_someone_else_made_can_be_played(here, targets, capsys):
     assert "0.5 s in all" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-def test_stored_commands_are_played_with_their_velocity(here):
-    commands(here)
-    assert main(["commands.parquet", "--sim", "--no-view", "-o", "out", *SHORT]) == 0
-    assert {path.name for path in (here / "out").iterdir()} >= {"commands.parquet", "log.parquet", "scene.rrd"}
-    assert not (here / "out" / "targets.parquet").exists()
-    assert store.load(here / "out" / "log.parquet", RunLog).v_des[:, 0].max() == 0.2
-
-
 def test_motion_from_elsewhere_becomes_a_run_like_a_video(here):
     rows = np.arange(60)
     sway = 0.2 * np.sin(0.2 * rows)[:, None]
@@ -375,7 +357,10 @@ def test_a_sentence_becomes_a_run_whose_key_frames_can_be_played_again(here, cap
     again = store.load(here / "again" / "log.parquet", RunLog)
     np.testing.assert_allclose(again.p_BE_des, log.p_BE_des, atol=1e-3)
     assert main([str(run / "commands.parquet"), "--sim", "--no-view", *SHORT, "-o", "once more"]) == 0
-    assert np.array_equal(store.load(here / "once more" / "log.parquet", RunLog).q, log.q)
+    assert not (here / "once more" / "targets.parquet").exists()
+    once_more = store.load(here / "once more" / "log.parquet", RunLog)
+    assert np.array_equal(once_more.q, log.q)
+    assert np.array_equal(once_more.v_des, log.v_des)
 
 
 @pytest.mark.parametrize("name", ["step_and_wave", "ballet"])
@@ -413,7 +398,9 @@ def test_a_run_that_falls_is_stopped_for_safety_and_kept(here, targets, constant
     assert (here / "out" / "log.parquet").is_file()
 
 
-def test_an_evaluation_is_written_with_the_hash_of_its_policy(here, constant_onnx, capsys):
+def test_an_evaluation_is_written_with_the_hash_of_its_policy(here, constant_onnx, capsys, monkeypatch):
+    for few in ("TOE_EPISODES", "COMMAND_EPISODES"):
+        monkeypatch.setattr(f"mimic.evaluation.policy.{few}", 1)
     policy = constant_onnx(here / "useless.onnx")
     assert main(["evaluate", str(policy), "--episodes", "1", "--seconds", "2", "--workers", "1"]) == 0
     shown = json.loads((here / "evaluation-useless.json").read_text())

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from mimic.config.play import RunSettings
 from mimic.flows.motions.motion import motion_from_text
 from mimic.flows.play import play
@@ -39,9 +36,8 @@ class ResetHeading:
         self._plant.close()
 
 
-@pytest.mark.parametrize("angle", [np.pi / 2, -2.5])
-def test_it_stands_on_where_it_looked_before(angle, description):
-    plant = ResetHeading(SimulatedPlant(description, seed=1), angle, at=4.0)
+def test_it_stands_on_where_it_looked_before(description):
+    plant = ResetHeading(SimulatedPlant(description, seed=1), -2.5, at=4.0)
     begin = float(heading_from_quat(plant.start().quat_WB))
     done = play(motion_from_text("wave the left hand twice"), plant=plant, settings=RunSettings(seed=1))
     assert [event.rule for event in done.events] == ["imu_contradiction", "finished"]

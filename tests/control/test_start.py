@@ -87,8 +87,7 @@ def decisive(result) -> tuple[str, SafetyMode, str]:
     return event.rule, event.mode, event.text
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("friction", [0.4, 1.2])
+@pytest.mark.parametrize(("robot", "friction"), [("cyberdog2", 1.2), ("go2", 0.4)])
 def test_a_limp_robot_whose_joints_are_tested_is_handed_over_in_the_crouch_and_stands_up(robot, friction):
     result = played(miswired(robot, friction=friction))
     assert decisive(result)[0] == "finished"
@@ -102,15 +101,9 @@ def test_a_limp_robot_whose_joints_are_tested_is_handed_over_in_the_crouch_and_s
 
 SHIFTED = [
     ({"flip": "FL_abad"}, "the sign of FL_abad is wrong"),
-    ({"flip": "RR_hip"}, "the sign of RR_hip is wrong"),
-    ({"flip": "RL_knee"}, "the sign of RL_knee is wrong"),
-    ({"swap": ("FR_abad", "FR_hip")}, "the motors FR_abad and FR_hip are swapped"),
-    ({"swap": ("RR_abad", "RR_knee")}, "the motors RR_abad and RR_knee are swapped"),
     ({"swap": ("RL_hip", "RL_knee")}, "the motors RL_hip and RL_knee are swapped"),
-    ({"swap": ("FL", "FR")}, "the legs FL and FR are swapped"),
     ({"swap": ("FL", "RR")}, "the legs FL and RR are swapped"),
-    ({"turn": (0, 10, 0)}, "the IMU shows a tilt of "),
-    ({"turn": (-10, 0, 0)}, "the IMU shows a tilt of"),
+    ({"turn": (-10, 0, 0)}, "the IMU shows a tilt of "),
     ({"turn": (0, 0, 10)}, "the IMU is turned by "),
 ]
 
@@ -126,9 +119,8 @@ def test_a_mistake_in_the_wiring_is_named_and_the_robot_damped_on_the_ground(mis
     assert result.log.p_WB[:, 2].max() < 1.2 * ROBOTS["cyberdog2"].pose_height["lie"]
 
 
-@pytest.mark.parametrize("swap", [("RL", "RR"), ("FR", "RL")])
-def test_swapped_legs_of_a_go2_are_named(swap):
-    assert decisive(played(miswired("go2", swap=swap)))[2].startswith(f"the legs {swap[0]} and {swap[1]} are swapped")
+def test_swapped_legs_of_a_go2_are_named():
+    assert decisive(played(miswired("go2", swap=("RL", "RR"))))[2].startswith("the legs RL and RR are swapped")
 
 
 def test_a_joint_that_does_not_move_is_named():

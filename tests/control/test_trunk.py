@@ -71,8 +71,9 @@ def test_a_robot_without_a_trunk_of_its_own_stays_and_counts_what_it_was_asked(d
     assert not trunk.moves
 
 
-@pytest.mark.parametrize(("height", "pitch"), [(-0.05, 0.0), (-0.03, 0.15)])
-def test_a_simulated_robot_crouches_and_leans_as_it_is_told(description, contract, height, pitch):
+def test_a_simulated_robot_crouches_and_leans_as_it_is_told(description, contract):
+    height = -0.03
+    pitch = 0.15
     t = 0.02 * np.arange(250)
     share = np.clip(t, 0.0, 1.0)
     toes = np.tile(np.reshape(contract.neutral_toes, (2, 3)), (len(t), 1, 1))

@@ -123,9 +123,12 @@ def test_episodes_are_numbered_by_their_seeds(evaluated):
 
 
 @pytest.mark.slow
-def test_the_same_seeds_give_the_same_figures(evaluated):
-    again = evaluate(shipped("policies", "stand_track.onnx"), FEW)
-    assert json.dumps(plain(again)) == json.dumps(plain(evaluated[0]))
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # no walk has no mean
+def test_the_same_seeds_give_the_same_figures(evaluated, monkeypatch):
+    monkeypatch.setattr(policy, "COMMAND_EPISODES", 0)
+    again = evaluate(shipped("policies", "stand_track.onnx"), FEW)["episodes"]
+    first = [row for row in evaluated[0]["episodes"] if row["kind"] in ("randomised", "toes")]
+    assert json.dumps(plain(again)) == json.dumps(plain(first))
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ def test_the_table_is_printed_beside_the_paper_s_and_written(tmp_path, capsys, c
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(walking, "SPEEDS", (0.3,))
     monkeypatch.setattr(walking, "TURNS", (0.5,))
+    monkeypatch.setattr(walking, "SECONDS", 5.5)
     policy = constant_onnx(tmp_path / "still.onnx")
     assert main(["table", str(policy), "--episodes", "1", "--seconds", "2", "--workers", "1"]) == 0
     shown = capsys.readouterr().out

@@ -69,7 +69,7 @@ def test_the_first_solver_is_the_usual_one():
     assert next(iter(SOLVERS.values())) == (Solver(), Randomisation())
 
 
-FEW = RobustnessSettings(episodes=2, seconds=3.0, workers=1)
+FEW = RobustnessSettings(episodes=1, seconds=3.0, workers=1)
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_shares_fall_where_a_robot_is_dragged_off_or_commanded_with_delay():
     assert set(result["together"]) == {"0.25"}
     assert set(result["solvers"]) == {"usual", "fine"}
     assert result["solvers"]["usual"] == 1.0
-    assert seen[-1] == (18, 18)
+    assert seen[-1] == (9, 9)
 
 
 def test_a_policy_that_is_not_there_is_refused(tmp_path):

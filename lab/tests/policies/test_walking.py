@@ -15,7 +15,7 @@ from mimic.io.assets import shipped
 def walked():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(walking, "SPEEDS", (-0.3, 0.0, 0.6))
-        patch.setattr(walking, "TURNS", (-1.0, 0.5))
+        patch.setattr(walking, "TURNS", (-1.0,))
         patch.setattr(walking, "SECONDS", 5.5)
         return evaluate_walking(
             shipped("policies", "stand_track.onnx"), range(1, 2), EpisodeSettings(episodes=1, seconds=5.5, workers=1)
@@ -26,7 +26,7 @@ def test_every_speed_and_turn_is_walked_with_still_and_with_moving_arms(walked):
     asked = [(w["asked_m_s"], w["arms"]) for w in walked["walking"]]
     assert asked == [(v, arms) for v in (-0.3, 0.0, 0.6) for arms in ARMS]
     asked = [(w["asked_rad_s"], w["arms"]) for w in walked["turning"]]
-    assert asked == [(w, arms) for w in (-1.0, 0.5) for arms in ARMS]
+    assert asked == [(-1.0, arms) for arms in ARMS]
 
 
 def test_the_shipped_policy_walks_the_way_it_is_reported_also_beyond_its_training(walked):

@@ -7,8 +7,10 @@ its own time.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from statistics import median
 
 import numpy as np
 
@@ -332,8 +334,8 @@ class MotorBus:
     def voltage(self) -> float:
         """Return the median of the supply voltages that the motors told last [V]; NaN where none did."""
         told = (self._values.get((joint, Register.SUPPLY_VOLTAGE), np.nan) for joint in ALL)
-        known = [volts for volts in told if np.isfinite(volts)]
-        return float(np.median(known)) if known else float("nan")
+        known = [volts for volts in told if math.isfinite(volts)]
+        return median(known) if known else math.nan
 
     def write(self, register: Register, value: float) -> FloatArray:
         """Write a register of every motor and return what each reads back (12,); NaN if there is no such register."""

@@ -276,8 +276,8 @@ class Sender:
             self._drive(now)
         elif self.state == State.DAMP:
             self._due = now + self._pause
+            self._settle(now)  # by the answers to the last damping
             self.driver.damp()
-            self._settle(now)
         else:
             self._due = now + self._pause
             ending = self.driver.end(since=self._since, rested=self._rests)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from html import escape
 
 import numpy as np
@@ -166,15 +165,6 @@ class Plot:
         self._parts.append(f"<path class='line {kind}' d='M{LEFT},{py[0]:.1f}H{self.width - RIGHT}'/>")
         if text:
             self._over.append(self._text(self.width - RIGHT - 2, py[0] - 3, text, f"note end {kind}"))
-
-    def dots(self, x: FloatArray, y: FloatArray, kind: str, names: Sequence[str] = ()) -> None:
-        """Draw points, with their names below the axis."""
-        px, py = self._at(x, y)
-        self._parts += [
-            f"<circle class='{kind}' cx='{a:.1f}' cy='{b:.1f}' r='3.5'/>" for a, b in zip(px, py, strict=True)
-        ]
-        for i, name in enumerate(names):
-            self._over.append(self._text(px[i], self.height - self._bottom + 13, name, "tick middle"))
 
     def _path(self, x: FloatArray, y: FloatArray) -> str:
         px, py = self._at(x, y)

@@ -128,9 +128,9 @@ def test_metrics_show_that_the_robot_stood(played):
     assert metrics["interrupted"] is False
 
 
-def test_the_same_seed_plays_the_same_run(played, targets, workplace):
+def test_the_targets_of_a_run_are_played_again_the_same_with_the_same_seed(played, workplace):
     again = workplace / "again"
-    assert main([str(targets), "--sim", "--no-view", "-o", str(again), *SEEDED]) == 0
+    assert main([str(played[1] / "targets.parquet"), "--sim", "--no-view", "-o", str(again), *SEEDED]) == 0
     one, other = (store.load(run / "log.parquet", RunLog) for run in (played[1], again))
     assert np.array_equal(one.q, other.q)
     assert np.array_equal(one.action, other.action, equal_nan=True)
@@ -150,12 +150,6 @@ def test_runs_without_a_name_are_numbered(targets, workplace):
     for _ in range(2):
         assert main([str(copy), "--sim", "--no-view", *SHORT]) == 0
     assert sorted(path.name for path in (workplace / "runs").iterdir()) == ["arms", "arms-2"]
-
-
-def test_the_targets_of_a_run_can_be_played_again(played, workplace):
-    again = workplace / "replayed"
-    assert main([str(played[1] / "targets.parquet"), "--sim", "--no-view", "-o", str(again)]) == 0
-    assert (again / "log.parquet").is_file()
 
 
 @pytest.mark.slow

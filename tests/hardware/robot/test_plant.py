@@ -178,7 +178,9 @@ def test_closing_damps_until_it_rests_and_switches_off(made, description):
     plant.start()
     for _ in range(25):
         plant.step(hold(description, description.poses["four"]))  # pushes itself up a little
+    begin = robot.now
     plant.close()
+    assert robot.now - begin < description.safety.damp_seconds - 1.0
     assert modes(robot) == {MotorMode.OFF}
     assert plant.ending == "the robot was damped and all motors are off"
     assert np.abs(robot.body.data.qvel[6:]).max() < 0.3

@@ -245,7 +245,6 @@ def test_the_shipped_policy_stands_up_holds_and_sits_down(made, description):
         ("motor_hot:FR_hip=90@+5", "too_hot"),
         ("imu_silent@+5", "imu_silent"),
         ("imu_frozen@+5", "imu_silent"),
-        ("imu_tilted=0.6@+5", "imu_contradiction"),
         ("bus_off@+5", "motor_silent"),
     ],
 )
