@@ -45,14 +45,20 @@ def contract() -> PolicyContract:
 @pytest.fixture(scope="module")
 def known() -> dict:
     """What the shipped policy of a Go2 answers to made-up inputs."""
-    policy = load_policy(None, load_description("go2"))
-    return json.loads(reference(policy))
+    return answers("go2")
+
+
+def answers(robot: str) -> dict:
+    return json.loads(reference(load_policy(None, load_description(robot))))
 
 
 def own_terms(known: dict, contract: PolicyContract, k: int) -> dict[str, np.ndarray]:
     """Return what a program measures in step k, in its units; anything else comes as the reference has it."""
-    newest = np.array(known["observation"][k])[-contract.frame_size :]
+    framed = contract.history * contract.frame_size
+    newest, once = np.split(np.array(known["observation"][k])[framed - contract.frame_size :], [contract.frame_size])
     terms = {name: newest[contract.columns(name)] for name, _ in contract.terms}
+    parts = np.split(once, np.cumsum([width for _, width in contract.once])[:-1])
+    terms |= {name: part for (name, _), part in zip(contract.once, parts, strict=False)}
     down, _ = world_axes_in_base(*np.array(known["inputs"]["quat"][k]))
     measured = {
         "joint_position": np.array(known["inputs"]["q"][k]) - contract.default_q,
@@ -85,9 +91,14 @@ def test_joints_and_gains_of_rl_sar_are_those_of_the_contract(contract, tmp_path
     assert config["mimic"]["walk_speed"] == contract.walk_speed
 
 
-def test_the_loop_of_rl_sar_gets_the_actions_of_the_policy(contract, known, tmp_path):
-    export_policy("stand_track", tmp_path / "go2/mimic", "rl_sar", robot="go2")
-    config = yaml.safe_load((tmp_path / "go2/mimic/config.yaml").read_text())["go2/mimic"]
+@pytest.mark.parametrize("robot", [pytest.param("cyberdog2", marks=pytest.mark.train), "go2"])
+def test_the_loop_of_rl_sar_gets_the_actions_of_the_policy(robot, tmp_path):
+    if robot == "cyberdog2":
+        pytest.importorskip("onnx", reason="writing an ONNX file needs the extra 'train'")
+    known = answers(robot)
+    contract = load_policy(None, load_description(robot)).contract
+    export_policy("stand_track", tmp_path / robot / "mimic", "rl_sar", robot=robot)
+    config = yaml.safe_load((tmp_path / robot / "mimic/config.yaml").read_text())[f"{robot}/mimic"]
     frames = []
     for k in range(20):
         terms = own_terms(known, contract, k)
@@ -97,7 +108,7 @@ def test_the_loop_of_rl_sar_gets_the_actions_of_the_policy(contract, known, tmp_
             frame.append(terms[own] * (config[scale] if scale else 1.0))
         frames.insert(0, np.clip(np.concatenate(frame), -config["clip_obs"], config["clip_obs"]))
     seen = np.concatenate([frames[age] for age in config["observations_history"]])
-    action = run(tmp_path / "go2/mimic" / config["model_name"], seen)
+    action = run(tmp_path / robot / "mimic" / config["model_name"], seen)
     action = np.clip(action, config["clip_actions_lower"], config["clip_actions_upper"])
     np.testing.assert_allclose(action, known["action"][19], atol=1e-5)
 
