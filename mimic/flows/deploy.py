@@ -86,12 +86,17 @@ def export_policy(policy: str | Path, out: Path, form: str, *, robot: str = DEFA
     for place, content in zip(places, (text.encode(), network), strict=True):
         with store.written_whole(place) as part:
             part.write_bytes(content)
-    return [_name(term, form) for term, _ in (*contract.terms, *contract.once) if term not in TERMS]
+    return [_name(term, form, contract) for term, _ in (*contract.terms, *contract.once) if _lacks(term, contract)]
 
 
-def _name(term: str, form: str) -> str:
+def _lacks(term: str, contract: PolicyContract) -> bool:
+    """Return whether the programs lack a term; their last action has no zeros for arms that left the network."""
+    return term not in TERMS or (term == "last_action" and bool(contract.once))
+
+
+def _name(term: str, form: str, contract: PolicyContract) -> str:
     """Return what a program calls a term."""
-    if term in TERMS:
+    if not _lacks(term, contract):
         return TERMS[term][form != "rl_sar"]
     return f"mimic{'/' if form == 'rl_sar' else '_'}{term}"
 
@@ -115,7 +120,7 @@ def _rl_sar(contract: PolicyContract, order: list[int]) -> dict[str, Any]:
     return {
         "model_name": "policy.onnx",
         "num_observations": sum(width for _, width in terms),
-        "observations": [_name(term, "rl_sar") for term, _ in terms],
+        "observations": [_name(term, "rl_sar", contract) for term, _ in terms],
         "observations_history": list(reversed(range(contract.history))),
         "observations_history_priority": "time",
         "clip_obs": 100.0,
@@ -145,7 +150,7 @@ def _rl_lab(contract: PolicyContract, order: list[int]) -> dict[str, Any]:
     observations = {}
     for term, width in (*contract.terms, *contract.once):
         scale, most = SCALED.get(term, (1.0, 0.0))
-        observations[_name(term, "unitree_rl_lab")] = {
+        observations[_name(term, "unitree_rl_lab", contract)] = {
             "params": {},
             "clip": [-most / scale, most / scale] if most else None,
             "scale": [scale] * width,
@@ -220,8 +225,8 @@ def _heading(path: Path, form: str, contract: PolicyContract, messages: str) -> 
         *HEADING[form],
     ]
     for term, width in (*contract.terms, *contract.once):
-        if term not in TERMS:
-            lines.append(f"- {_name(term, form)} ({width}): {guide['formulas'][term]}")
+        if _lacks(term, contract):
+            lines.append(f"- {_name(term, form, contract)} ({width}): {guide['formulas'][term]}")
     lines += ["How the policy is played:", *(f"- {line}" for line in guide["how_to_play"])]
     wrapped = [textwrap.fill(line, 118, initial_indent="# ", subsequent_indent="#   ") for line in lines if line]
     return "\n".join([*wrapped, "", ""])
