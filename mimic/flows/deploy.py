@@ -196,7 +196,7 @@ def _with_input(path: Path, contract: PolicyContract, place: IntArray) -> bytes:
     try:
         import onnx
     except ImportError:
-        raise MissingExtra("onnx", "train") from None
+        raise MissingExtra("onnx", "deploy") from None
     model = onnx.load(str(path))
     graph = model.graph
     graph.input[0].type.tensor_type.shape.dim[1].dim_value = int(place.max()) + 1
