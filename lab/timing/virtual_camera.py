@@ -3,8 +3,8 @@
     python -m lab.timing.virtual_camera [--delay 0.025] [VIDEO ...]     # by default the shipped clips with their truth
     python -m lab.timing.virtual_camera --wall [VIDEO ...]              # the whole of `mimic --camera VIDEO --sim`
 
-Each frame is seen at its time and gives its target a delay later, as on a quiet computer (`lab.timing.live_camera`
-measures it); the simulated robot follows tick by tick. Its toes are compared with those that the true motion beside
+Each frame is seen at its time and gives its target a delay later, as on a quiet computer (`--wall` measures it); the
+simulated robot follows tick by tick. Its toes are compared with those that the true motion beside
 the clip asks for, as a robot without any delay would hold them. In wall time the clip plays in place of a camera, and
 the robot's clock is the computer's while no step is late.
 """
