@@ -4,9 +4,9 @@
     python -m lab.timing.virtual_camera --wall [VIDEO ...]              # the whole of `mimic --camera VIDEO --sim`
 
 Each frame is seen at its time and gives its target a delay later, as on a quiet computer (`--wall` measures it); the
-simulated robot follows tick by tick. Its toes are compared with those that the true motion beside
-the clip asks for, as a robot without any delay would hold them. In wall time the clip plays in place of a camera, and
-the robot's clock is the computer's while no step is late.
+simulated robot follows tick by tick. Its toes are compared with those that the true motion beside the clip asks for, as
+a robot without any delay would hold them. In wall time the clip plays in place of a camera, and the robot's clock is
+the computer's while no step is late.
 """
 
 from __future__ import annotations
