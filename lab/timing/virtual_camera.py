@@ -1,15 +1,18 @@
-"""From a person's hand to the robot's toes through a camera, in virtual time: how late, and how far off.
+"""From a person's hand to the robot's toes through a camera, in virtual or wall time: how late, and how far off.
 
     python -m lab.timing.virtual_camera [--delay 0.025] [VIDEO ...]     # by default the shipped clips with their truth
+    python -m lab.timing.virtual_camera --wall [VIDEO ...]              # the whole of `mimic --camera VIDEO --sim`
 
-Each frame is seen at its time and gives its target a delay later, as on a quiet computer (`lab.timing.live_camera`
-measures it); the simulated robot follows tick by tick. Its toes are compared with those that the true motion beside
-the clip asks for, as a robot without any delay would hold them.
+Each frame is seen at its time and gives its target a delay later, as on a quiet computer (`--wall` measures it); the
+simulated robot follows tick by tick. Its toes are compared with those that the true motion beside the clip asks for, as
+a robot without any delay would hold them. In wall time the clip plays in place of a camera, and the robot's clock is
+the computer's while no step is late.
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +20,10 @@ import numpy as np
 from lab.people.depth import true_track
 from mimic.config.pose import LiveSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
+from mimic.flows.motions.camera import play_camera
 from mimic.flows.motions.motion import track_video
 from mimic.flows.play import play
-from mimic.records import PHASES, Command
+from mimic.records import PHASES, Command, RunLog
 from mimic.retargeting.live import LiveRetarget, LiveTarget, LiveTargets
 from mimic.retargeting.targets import target_track
 from mimic.retargeting.wrists import wrist_track
@@ -78,20 +82,36 @@ class VirtualCamera:
         return command
 
 
+def in_virtual_time(path: Path, delay: float, reach: Reach) -> tuple[RunLog, float]:
+    """Return the log of a run, and when its first command comes in the time of the clip [s]."""
+    live = LiveSettings()
+    return play(VirtualCamera(seen_live(path, reach, live), delay, reach, live)).log, 0.0
+
+
+def in_wall_time(path: Path) -> tuple[RunLog, float]:
+    """Return the same of a clip that plays in place of a camera."""
+    with tempfile.TemporaryDirectory() as folder:
+        saved, record = play_camera(str(path), out=Path(folder) / "run")
+    track = record.track()
+    print(f"{path.stem}: frame to target {record.summary()}; {record.overruns} steps of the robot late", flush=True)
+    with open_video(path) as video:
+        stamps = [frame.stamp_ms / 1e3 for frame in video]
+    return saved.run.log, stamps[record.seen[0].number] - float(track.t[0])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("videos", nargs="*", type=Path)
     parser.add_argument("--delay", type=float, default=0.025, help="from a frame to its target [s]")
+    parser.add_argument("--wall", action="store_true", help="in real time, on a quiet computer")
     options = parser.parse_args()
-    description = load_description("cyberdog2")
-    reach, live = Reach(description), LiveSettings()
+    reach = Reach(load_description("cyberdog2"))
     print("| clip | person to toes | toes apart then |\n|---|---|---|")
     for path in options.videos or sorted(EXAMPLES.glob("*.mp4")):
-        camera = VirtualCamera(seen_live(path, reach, live), options.delay, reach, live)
-        log = play(camera).log
+        log, began = in_wall_time(path) if options.wall else in_virtual_time(path, options.delay, reach)
         true = target_track(wrist_track(true_track(path, track_video(path)), TRUE), reach, TRUE)
         rows = (log.phase == PHASES.index("blend")) | (log.phase == PHASES.index("track"))  # it runs from the blend on
-        t = log.t[rows] - log.t[rows][0]
+        t = log.t[rows] - log.t[rows][0] + began
         toes = log.p_BE[rows]
         apart = {lag: float(np.mean(errors(t, toes, true.t + lag, true.p_BE))) for lag in np.arange(0.0, LATEST, 0.005)}
         best = min(apart, key=lambda lag: apart[lag])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
@@ -254,6 +255,7 @@ def view(run: Path, /, *, web: Annotated[bool, o.Flag] = False) -> int:
     from mimic.cli.terminal.console import note
 
     note("open this in a browser on this computer; Ctrl-C ends the server:")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # otherwise the server would outlive this command
     with suppress(KeyboardInterrupt):
         serve_scene(scene, note)
     return DONE

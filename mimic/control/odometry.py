@@ -31,6 +31,10 @@ RESPONSE = 1.0
 """What lies between a command and the velocity that it causes [s]."""
 SMOOTHED = 0.3
 """Time over which the velocity is smoothed [s]: more than a step takes."""
+STEERED = 0.5
+"""A walk that is off to the side heads for where it should be after this distance [m]."""
+MOST_STEERED = 0.2
+"""More than this it is never turned [rad]."""
 MOST = 0.5
 """More than this is never made up for: somebody may hold the robot [m]."""
 HOLDING = 0.5
@@ -109,7 +113,7 @@ class HeldPosition:
 
 
 class KeptDistance:
-    """Corrects the velocity commands of a track so that the robot comes as far as they say.
+    """Corrects velocity and heading of a track so that the robot comes as far as they say, and there.
 
     A robot goes on for a while after its command changes. So it is told where it should be a little later, less what it
     will have come by then.
@@ -128,7 +132,7 @@ class KeptDistance:
         self._walks_there = False
 
     def corrected(self, command: Command, q: FloatArray, quat_WB: FloatArray) -> Command:
-        """Return a command whose velocity makes up for what is lacking; called once each control step.
+        """Return a command that makes up for what is lacking; called once each control step.
 
         Args:
             command: What is asked for; its heading is in the world.
@@ -138,24 +142,26 @@ class KeptDistance:
         last = len(self._way) - 1
         later = min(self._row + round(RESPONSE / self._dt), last)
         start = command.heading - float(self._track.heading[min(self._row, last)])
+        bend = float(self._track.heading[later] - self._track.heading[min(self._row, last)])
         self._row += 1
         step = _turned(self._odometry.step(q, quat_WB), -start)
         self._came = self._came + step
         self._velocity = self._velocity + (step / self._dt - self._velocity) * self._dt / SMOOTHED
-        lacking = self._way[later] - self._came - RESPONSE * self._velocity
+        lacking = self._way[later] - self._came - RESPONSE * _turned(self._velocity, bend / 2.0)
         excess = _excess(lacking)
         self._came = self._came + excess
         turn = start - command.heading
-        along = float(_turned(lacking - excess, turn)[0])
+        along, aside = (float(value) for value in _turned(lacking - excess, turn))
         speed = float(_turned(self._velocity, turn)[0])
         wanted = float(self._track.v[later, 0]) if self._row <= last else 0.0
         velocity = wanted + GAIN * along
+        steered = wanted / max(abs(wanted), SLOWEST) * float(np.clip(aside / STEERED, -MOST_STEERED, MOST_STEERED))
         if not wanted:
             near = REACHED if self._walks_there else CORRECTED
             self._walks_there = abs(along) > near and along * speed > -abs(along) * STANDS
             velocity = float(np.copysign(max(abs(velocity), SLOWEST), along)) if self._walks_there else 0.0
         limited = float(np.clip(velocity, -self._fastest, self._fastest))
-        return replace(command, v=np.array([limited, command.v[1]]))
+        return replace(command, v=np.array([limited, command.v[1]]), heading=command.heading + steered)
 
 
 def _excess(lacking: FloatArray) -> FloatArray:

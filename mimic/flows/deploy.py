@@ -20,6 +20,7 @@ from mimic.flows.play import load_robot
 from mimic.io import store
 from mimic.policy.contract import DQ_CLIP, DQ_SCALE, GYRO_CLIP, GYRO_SCALE, INVERSE_KINEMATICS, PolicyContract
 from mimic.policy.runtime import Policy, find_policy
+from mimic.records import IntArray
 from mimic.version import __version__
 
 TERMS = {
@@ -48,7 +49,8 @@ HEADING = {
 def export_policy(policy: str | Path, out: Path, form: str, *, robot: str = DEFAULT_ROBOT) -> list[str]:
     """Write a policy as rl_sar (config.yaml, policy.onnx) or unitree_rl_lab (params, exported) deploys one.
 
-    The network for unitree_rl_lab takes each term's frames together, as that program gives them.
+    The network takes its input as the program gives it: each term's frames together (unitree_rl_lab), or every term in
+    each frame (rl_sar).
 
     Args:
         policy: ONNX file with its contract inside, or the name of a shipped policy.
@@ -72,11 +74,11 @@ def export_policy(policy: str | Path, out: Path, form: str, *, robot: str = DEFA
     order, notes = _order(description.name)
     if form == "rl_sar":
         settings = {f"{description.name}/{out.name}": _rl_sar(contract, order)}
-        network = path.read_bytes()
+        network = _with_input(path, contract, _by_frames(contract)) if contract.once else path.read_bytes()
         places = (out / "config.yaml", out / "policy.onnx")
     else:
         settings = _rl_lab(contract, order)
-        network = _by_terms(path, contract)
+        network = _with_input(path, contract, _by_terms(contract))
         places = (out / "params/deploy.yaml", out / "exported/policy.onnx")
     store.check_writable(out.parent)
     text = _heading(path, form, contract, notes)
@@ -84,12 +86,17 @@ def export_policy(policy: str | Path, out: Path, form: str, *, robot: str = DEFA
     for place, content in zip(places, (text.encode(), network), strict=True):
         with store.written_whole(place) as part:
             part.write_bytes(content)
-    return [_name(term, form) for term, _ in (*contract.terms, *contract.once) if term not in TERMS]
+    return [_name(term, form, contract) for term, _ in (*contract.terms, *contract.once) if _lacks(term, contract)]
 
 
-def _name(term: str, form: str) -> str:
+def _lacks(term: str, contract: PolicyContract) -> bool:
+    """Return whether the programs lack a term; their last action has no zeros for arms that left the network."""
+    return term not in TERMS or (term == "last_action" and bool(contract.once))
+
+
+def _name(term: str, form: str, contract: PolicyContract) -> str:
     """Return what a program calls a term."""
-    if term in TERMS:
+    if not _lacks(term, contract):
         return TERMS[term][form != "rl_sar"]
     return f"mimic{'/' if form == 'rl_sar' else '_'}{term}"
 
@@ -108,16 +115,12 @@ def _order(robot: str) -> tuple[list[int], str]:
 
 def _rl_sar(contract: PolicyContract, order: list[int]) -> dict[str, Any]:
     """Return what a config.yaml holds."""
-    if contract.once:
-        raise ConfigError(
-            f"rl_sar repeats every term with the history, and this policy has {contract.once[0][0]} once; "
-            "use --format unitree_rl_lab"
-        )
     own = store.plain(contract)
+    terms = (*contract.terms, *contract.once)
     return {
         "model_name": "policy.onnx",
-        "num_observations": contract.frame_size,
-        "observations": [_name(term, "rl_sar") for term, _ in contract.terms],
+        "num_observations": sum(width for _, width in terms),
+        "observations": [_name(term, "rl_sar", contract) for term, _ in terms],
         "observations_history": list(reversed(range(contract.history))),
         "observations_history_priority": "time",
         "clip_obs": 100.0,
@@ -147,7 +150,7 @@ def _rl_lab(contract: PolicyContract, order: list[int]) -> dict[str, Any]:
     observations = {}
     for term, width in (*contract.terms, *contract.once):
         scale, most = SCALED.get(term, (1.0, 0.0))
-        observations[_name(term, "unitree_rl_lab")] = {
+        observations[_name(term, "unitree_rl_lab", contract)] = {
             "params": {},
             "clip": [-most / scale, most / scale] if most else None,
             "scale": [scale] * width,
@@ -173,18 +176,30 @@ def _rl_lab(contract: PolicyContract, order: list[int]) -> dict[str, Any]:
     }
 
 
-def _by_terms(path: Path, contract: PolicyContract) -> bytes:
-    """Return a policy's network that takes each term's frames together, under unitree_rl_lab's names, and clips."""
-    try:
-        import onnx
-    except ImportError:
-        raise MissingExtra("onnx", "train") from None
+def _by_terms(contract: PolicyContract) -> IntArray:
+    """Return where a policy's inputs are among each term's frames, in the order of the terms."""
     framed = contract.history * contract.frame_size
     frames = np.arange(framed).reshape(contract.history, contract.frame_size)
     given = [frames[:, contract.columns(term)].ravel() for term, _ in contract.terms]
-    place = np.argsort(np.concatenate([*given, np.arange(framed, contract.observation_size)]))
+    return np.argsort(np.concatenate([*given, np.arange(framed, contract.observation_size)]))
+
+
+def _by_frames(contract: PolicyContract) -> IntArray:
+    """Return where a policy's inputs are among frames of all terms; what comes once is that of the newest."""
+    whole = contract.frame_size + sum(width for _, width in contract.once)
+    frames = np.arange(contract.history * whole).reshape(contract.history, whole)
+    return np.concatenate([frames[:, : contract.frame_size].ravel(), frames[-1, contract.frame_size :]])
+
+
+def _with_input(path: Path, contract: PolicyContract, place: IntArray) -> bytes:
+    """Return a policy's network that finds its inputs at these places, under unitree_rl_lab's names, and clips."""
+    try:
+        import onnx
+    except ImportError:
+        raise MissingExtra("onnx", "deploy") from None
     model = onnx.load(str(path))
     graph = model.graph
+    graph.input[0].type.tensor_type.shape.dim[1].dim_value = int(place.max()) + 1
     make = onnx.helper.make_node
     first = make("Gather", ["obs", "mimic_place"], [graph.input[0].name], axis=1)
     last = make("Clip", [graph.output[0].name, "mimic_low", "mimic_high"], ["actions"])
@@ -210,8 +225,8 @@ def _heading(path: Path, form: str, contract: PolicyContract, messages: str) -> 
         *HEADING[form],
     ]
     for term, width in (*contract.terms, *contract.once):
-        if term not in TERMS:
-            lines.append(f"- {_name(term, form)} ({width}): {guide['formulas'][term]}")
+        if _lacks(term, contract):
+            lines.append(f"- {_name(term, form, contract)} ({width}): {guide['formulas'][term]}")
     lines += ["How the policy is played:", *(f"- {line}" for line in guide["how_to_play"])]
     wrapped = [textwrap.fill(line, 118, initial_indent="# ", subsequent_indent="#   ") for line in lines if line]
     return "\n".join([*wrapped, "", ""])

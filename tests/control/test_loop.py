@@ -9,7 +9,7 @@ from mimic.config.play import RunSettings
 from mimic.errors import ContractError, PlantError
 from mimic.records import PHASES, RunLog
 
-SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1)
+SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, hold_position=False)
 STAND, BLEND, HOLD = 50, 10, 5
 """Ticks of each phase of SHORT."""
 

@@ -1,9 +1,20 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from mimic.control.odometry import CORRECTED, HOLDING, MOST, RESPONSE, HeldPosition, KeptDistance, LegOdometry
+from mimic.control.odometry import (
+    CORRECTED,
+    HOLDING,
+    MOST,
+    MOST_STEERED,
+    RESPONSE,
+    HeldPosition,
+    KeptDistance,
+    LegOdometry,
+)
 from mimic.records import Command, CommandTrack
 
 UPRIGHT = np.array([np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0])
@@ -48,6 +59,19 @@ def test_a_robot_that_does_not_come_forward_is_asked_for_more(description, speed
     asked = [kept.corrected(command(speed), q, UPRIGHT).v[0] for _ in range(150)]
     assert asked[-1] / speed > asked[0] / speed > 1.0
     assert np.max(np.abs(asked)) <= description.commands.velocity[0]
+
+
+@pytest.mark.parametrize(("speed", "turn", "side"), [(0.1, 0.3, -1), (0.1, -0.3, 1), (-0.1, 0.3, -1), (0.1, 0.0, 0)])
+def test_a_robot_that_is_off_to_the_side_heads_back_to_its_way(description, speed, turn, side):
+    track = walk(speed, 3.0)
+    bent = dataclasses.replace(track, heading=turn * track.t)
+    kept = KeptDistance(bent, description)
+    q = description.poses["upright"]
+    for heading in bent.heading[:100]:
+        asked = dataclasses.replace(command(speed), heading=heading)
+        steered = kept.corrected(asked, q, UPRIGHT).heading - heading
+    assert np.sign(steered) == side
+    assert abs(steered) <= MOST_STEERED
 
 
 def test_behind_its_track_a_robot_still_walks_the_rest(description):

@@ -15,6 +15,7 @@ from mimic.errors import ConfigError
 from mimic.flows.deploy import export_policy
 from mimic.geometry import world_axes_in_base
 from mimic.hardware.go2.wiring import load_go2
+from mimic.hardware.stock.wiring import load_board
 from mimic.policy.contract import PolicyContract
 from mimic.policy.reference import reference
 from mimic.policy.runtime import load_policy
@@ -42,17 +43,18 @@ def contract() -> PolicyContract:
     return load_policy(None, load_description("go2")).contract
 
 
-@pytest.fixture(scope="module")
-def known() -> dict:
-    """What the shipped policy of a Go2 answers to made-up inputs."""
-    policy = load_policy(None, load_description("go2"))
-    return json.loads(reference(policy))
+def answers(robot: str) -> dict:
+    """Return what the shipped policy answers to made-up inputs."""
+    return json.loads(reference(load_policy(None, load_description(robot))))
 
 
 def own_terms(known: dict, contract: PolicyContract, k: int) -> dict[str, np.ndarray]:
     """Return what a program measures in step k, in its units; anything else comes as the reference has it."""
-    newest = np.array(known["observation"][k])[-contract.frame_size :]
+    framed = contract.history * contract.frame_size
+    newest, once = np.split(np.array(known["observation"][k])[framed - contract.frame_size :], [contract.frame_size])
     terms = {name: newest[contract.columns(name)] for name, _ in contract.terms}
+    parts = np.split(once, np.cumsum([width for _, width in contract.once])[:-1])
+    terms |= {name: part for (name, _), part in zip(contract.once, parts, strict=False)}
     down, _ = world_axes_in_base(*np.array(known["inputs"]["quat"][k]))
     measured = {
         "joint_position": np.array(known["inputs"]["q"][k]) - contract.default_q,
@@ -61,6 +63,8 @@ def own_terms(known: dict, contract: PolicyContract, k: int) -> dict[str, np.nda
         "gyro": np.array(known["inputs"]["gyro"][k]),
         "joint_velocity": np.array(known["inputs"]["dq"][k]),
     }
+    if contract.once:
+        del measured["last_action"]  # theirs has no zeros for the arms
     return terms | measured
 
 
@@ -85,9 +89,14 @@ def test_joints_and_gains_of_rl_sar_are_those_of_the_contract(contract, tmp_path
     assert config["mimic"]["walk_speed"] == contract.walk_speed
 
 
-def test_the_loop_of_rl_sar_gets_the_actions_of_the_policy(contract, known, tmp_path):
-    export_policy("stand_track", tmp_path / "go2/mimic", "rl_sar", robot="go2")
-    config = yaml.safe_load((tmp_path / "go2/mimic/config.yaml").read_text())["go2/mimic"]
+@pytest.mark.parametrize("robot", [pytest.param("cyberdog2", marks=pytest.mark.train), "go2"])
+def test_the_loop_of_rl_sar_gets_the_actions_of_the_policy(robot, tmp_path):
+    if robot == "cyberdog2":
+        pytest.importorskip("onnx", reason="writing an ONNX file needs the extra 'train'")
+    known = answers(robot)
+    contract = load_policy(None, load_description(robot)).contract
+    export_policy("stand_track", tmp_path / robot / "mimic", "rl_sar", robot=robot)
+    config = yaml.safe_load((tmp_path / robot / "mimic/config.yaml").read_text())[f"{robot}/mimic"]
     frames = []
     for k in range(20):
         terms = own_terms(known, contract, k)
@@ -97,15 +106,18 @@ def test_the_loop_of_rl_sar_gets_the_actions_of_the_policy(contract, known, tmp_
             frame.append(terms[own] * (config[scale] if scale else 1.0))
         frames.insert(0, np.clip(np.concatenate(frame), -config["clip_obs"], config["clip_obs"]))
     seen = np.concatenate([frames[age] for age in config["observations_history"]])
-    action = run(tmp_path / "go2/mimic" / config["model_name"], seen)
+    action = run(tmp_path / robot / "mimic" / config["model_name"], seen)
     action = np.clip(action, config["clip_actions_lower"], config["clip_actions_upper"])
     np.testing.assert_allclose(action, known["action"][19], atol=1e-5)
 
 
 @pytest.mark.train
-def test_the_loop_of_unitree_rl_lab_gets_the_actions_of_the_policy(contract, known, tmp_path):
+@pytest.mark.parametrize(("robot", "wiring"), [("cyberdog2", load_board), ("go2", load_go2)])
+def test_the_loop_of_unitree_rl_lab_gets_the_actions_of_the_policy(robot, wiring, tmp_path):
     pytest.importorskip("onnx", reason="writing an ONNX file needs the extra 'train'")
-    export_policy("stand_track", tmp_path / "v0", "unitree_rl_lab", robot="go2")
+    known = answers(robot)
+    contract = load_policy(None, load_description(robot)).contract
+    export_policy("stand_track", tmp_path / "v0", "unitree_rl_lab", robot=robot)
     config = yaml.safe_load((tmp_path / "v0/params/deploy.yaml").read_text())
     seen = []
     for name, term in config["observations"].items():
@@ -117,7 +129,7 @@ def test_the_loop_of_unitree_rl_lab_gets_the_actions_of_the_policy(contract, kno
     action = config["actions"]["JointPositionAction"]
     sent = np.clip(raw * action["scale"] + action["offset"], *np.transpose(action["clip"]))
     np.testing.assert_allclose(sent, known["q_des"][19], atol=1e-5)
-    assert config["joint_ids_map"] == load_go2().index.tolist()
+    assert config["joint_ids_map"] == wiring().index.tolist()
     assert np.array(config["stiffness"])[config["joint_ids_map"]].tolist() == list(contract.kp)
 
 

@@ -76,7 +76,7 @@ def follow_camera(
 
         targets = LiveTargets(Reach(description), live, begin=begin)
         with reporting(reporter).activity("frames") as show:
-            given = stream, retarget, targets, record, view, zero, show
+            given = stream, retarget, targets, record, view, zero, show, reporting(reporter)
             threading.Thread(target=_follow, args=given, name="follow", daemon=True).start()
             before = sys.getswitchinterval()
             sys.setswitchinterval(SWITCH_INTERVAL)
@@ -94,6 +94,7 @@ def _follow(
     view: LiveView | None,
     zero: float,
     show: Activity,
+    reporter: Reporter,
 ) -> None:
     shown = 0.0
     try:
@@ -103,8 +104,12 @@ def _follow(
             latency = time.monotonic() - seen.t
             record.seen.append(seen)
             record.latency.append(latency)
+            for text in seen.people if not record.people else ():
+                reporter.warn(text)
+            record.people = seen.people or record.people
             if seen.t > shown + SHOW_EVERY:
-                show(f"frame to target {record.summary(SHOWN)}", 0)
+                nobody = "" if seen.valid.any() else "nobody seen; "
+                show(f"{nobody}frame to target {record.summary(SHOWN)}", 0)
                 shown = seen.t
             if view is not None:
                 view.frame(seen.t - record.began + zero, seen.jpeg, seen.image, seen.valid, latency)

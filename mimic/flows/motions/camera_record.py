@@ -28,6 +28,8 @@ class CameraRecord:
     settings: InputSettings = field(default_factory=InputSettings)
     seen: list[CameraFrame] = field(default_factory=list)
     latency: list[float] = field(default_factory=list)
+    people: tuple[str, ...] = ()
+    """What was last to be said of several people in view."""
     began: float = float("nan")
     """When the first command was asked for, on the clock of the rows [s]."""
     zero: float = 0.0
@@ -89,7 +91,7 @@ class CameraRecord:
         clothes = np.array([row.clothes for row in rows])
         nothing = np.zeros(len(rows))  # a camera has no cuts and no fades
         changes = find_changes(track, person, clothes, nothing, nothing > 0.0)
-        return (*rows[-1].people, *describe(changes, track.t), *doubts(track))
+        return (*self.people, *describe(changes, track.t), *doubts(track))
 
     def report(self, pose: PoseTrack, reporter: Reporter) -> None:
         """Say what a run of a video says: doubts, an arm that is not seen, where the camera is."""

@@ -56,6 +56,8 @@ def open_link(bus_url: str, *, bitrate: int = 1_000_000, quick: bool = False) ->
         ConfigError: If a bus has none of the forms.
         BusError: If a bus does not exist or does not answer.
     """
+    if not isinstance(bus_url, str):
+        raise ConfigError(f"the bus is {bus_url!r}; expected text, such as {FORMS}")
     names = [word.strip() for word in bus_url.split(",")]
     if len(set(names)) < len(names) or "" in names:
         raise ConfigError(f"the buses are {bus_url!r}; expected different ones, such as {FORMS}")
@@ -89,6 +91,8 @@ def _open(name: str, bitrate: int, *, quick: bool) -> Port:
             return Port(name, bus, None, ready=False)
     except MimicError:
         raise
+    except (NameError, ImportError, can.CanInterfaceNotImplementedError):
+        raise BusError(f"{name} cannot be opened: the driver of {scheme} is not installed here") from None
     except Exception as reason:  # drivers raise classes of their own
         raise BusError(f"{name} cannot be opened: {explain(reason)}") from None
     raise ConfigError(f"{name!r} is not a bus; expected {FORMS}, or another interface of python-can")
@@ -111,9 +115,8 @@ def _socketcan(name: str) -> Port:
 
 
 def _socketcand(name: str) -> Port:
-    url = urlsplit(name)
     host, port = _address(name)
-    channel = url.path.strip("/")
+    channel = urlsplit(name).path.strip("/")
     if not channel:
         raise ConfigError(f"{name} names no bus of that server; expected socketcand://HOST:PORT/can0")
     _knock(name, host, port)
@@ -133,12 +136,12 @@ def _socketcand(name: str) -> Port:
 
 
 def _address(name: str) -> tuple[str, int]:
-    url = urlsplit(name)
     try:
+        url = urlsplit(name)
         host = url.hostname
         port = url.port
     except ValueError as reason:
-        raise ConfigError(f"{name} has no usable port: {reason}") from None
+        raise ConfigError(f"{name} has no usable host or port: {reason}") from None
     if not host or not port:
         raise ConfigError(f"{name} lacks host or port; expected such as 127.0.0.1:29536")
     return host, port

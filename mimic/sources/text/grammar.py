@@ -231,22 +231,24 @@ def _between(moment: float, t: FloatArray, values: FloatArray) -> FloatArray:
 def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -> tuple[list[KeyFrame], float]:
     """Return a key frame for each moment at which the base or a hand changes; updates ``hands`` to where they end."""
     base = list(timeline.base)
-    moving = 0.0
-    for moves in timeline.hands.values():
-        moving = max(moving, sum(duration for duration, _ in moves))
-    lacking = moving - sum(part[0] for part in base)
-    if base and timeline.hands and 0.0 < abs(lacking) < MIN_DURATION:  # both end together, as far as before
-        seconds, forward, turn = base[-1]
-        base[-1] = (seconds + lacking, forward * seconds / (seconds + lacking), turn)
-    elif lacking > 1e-9:
-        forward = base[-1][1] if base and timeline.open_end else 0.0
-        base.append((lacking, forward, 0.0))
-    ends = np.cumsum([part[0] for part in base])
     tracks = {}
     for side in (*SIDES, "trunk"):
         moves = timeline.hands.get(side, [])
         t = np.cumsum([0.0, *(duration for duration, _ in moves)])
         tracks[side] = t, np.stack([hands[side], *(q for _, q in moves)])
+    turning = np.unique(np.concatenate([t for t, _ in tracks.values()]))
+    end = sum(part[0] for part in base)
+    near = float(turning[np.argmin(abs(turning - end))])
+    if base and near > 0.0 and 0.0 < abs(near - end) < MIN_DURATION:  # both end together, as far as before
+        seconds, forward, turn = base[-1]
+        longer = seconds + near - end
+        base[-1] = (longer, forward * seconds / longer, turn)
+        end = near
+    lacking = turning[-1] - end
+    if lacking > 1e-9:
+        forward = base[-1][1] if base and timeline.open_end else 0.0
+        base.append((lacking, forward, 0.0))
+    ends = np.cumsum([part[0] for part in base])
     moments = np.unique(np.round(np.concatenate([ends, *(t[1:] for t, _ in tracks.values())]), 6))
     moments = moments[moments > 1e-6]
     gains = np.cumsum([0.0, *(part[2] for part in base)])

@@ -58,6 +58,9 @@ MOST_READINGS = 64  # of one sentence
 TRUNK_WAYS = {  # for each verb of the trunk the directions that it takes
     "CROUCH": {"down"}, "SQUAT": {"down"}, "BOW": {"down", "forward"}, "LEAN": {"forward"}, "RISE": {"up"},
 }  # fmt: skip
+HALF = 180.0  # of a turn [degrees]
+LASTING = {"squat": "crouch", "bow": "lean"}  # what stays down, for each that comes up again
+STAYS = {"hold", "stay", "keep", "remain", "freeze"}
 ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
 LITTLE = {"turn": ("degrees", 30.0), "walk": ("metres", 0.25), "step": ("metres", 0.15)}
 FURTHER = {
@@ -363,6 +366,7 @@ class _Reader:
         self.groups: Groups = []
         self.hands: tuple[str, ...] = ()
         self.before: Action | None = None
+        self.done: Action | None = None  # the last one that was no wait
         self.said: Clause | None = None
         self.walk: Action | None = None
         self.turns: list[Action] = []  # since it faced as at first, or turned back
@@ -547,15 +551,15 @@ class _Reader:
         if now is not None and now.rule == "still" and now.text.startswith("after"):
             now.refuse(lasts, "does not say for how long it goes on before; say it, then what comes next")
         if self.switched and now is not None:
-            one = self.before is not None and not self.before.moves_base and len(self.hands) == 1
+            one = self.done is not None and not self.done.moves_base and len(self.hands) == 1
             now.refuse(not one, "does not say from which hand; say with which hand to go on")
-        if not pending or self.before is None:
+        if not pending or self.done is None:
             return []
         self.hands = (OPPOSITE[self.hands[0]],)
         if now is not None and now.rule == "gesture" and not now.has("HAND", "LEFT", "RIGHT"):
             now.words["HAND"] = [f"{self.hands[0]} hand"]
             return []
-        return [self._switched(self.before)]
+        return [self._switched(self.done)]
 
     def _switched(self, before: Action) -> list[Action]:
         """Return an action with the other hand; where both hands were told a posture, they exchange it."""
@@ -574,6 +578,7 @@ class _Reader:
         """Return the action of a clause."""
         if not now.kind:
             self._inherit(now)
+        self._after_the_trunk(now)
         if now.has("RELATIVE"):
             self._relate(now)
         paces = [PACES[kind] for kind in now.words if kind in PACES for _ in now.words[kind]]
@@ -587,7 +592,8 @@ class _Reader:
         for much in ({"metres", "seconds", "mps"}, {"times", "metres"}, {"metres", "degrees"}):
             now.refuse(much <= action.amounts.keys(), f"says too much at once: {', '.join(action.amounts)}")
         greeting = now.words.get("GREETING", [""])[0]
-        now.refuse(greeting and action.verb != "wave", f"has {greeting!r}, which only goes with 'wave'")
+        odd = greeting and action.verb not in ("wave", "bow")
+        now.refuse(odd, f"has {greeting!r}, which only goes with 'wave' and 'bow'")
         if not action.moves_base and not action.moves_trunk:
             self.hands = action.sides
             self.at |= dict.fromkeys(action.sides, action.way)
@@ -595,8 +601,22 @@ class _Reader:
         if action.verb in WAYS_GONE:
             self.way.append(action)
         self.before = action
+        self.done = self.done if action.verb == "wait" else action
         self.said = now
         return action
+
+    def _after_the_trunk(self, now: Clause) -> None:
+        """Let a squat or bow last until it is held or ended; "back up" behind one, or behind hands, is no walk."""
+        before = self.done
+        if before is None or before.moves_base:
+            return
+        if now.text == "back up" and now.kind == "WALK":
+            now.refuse(not before.moves_trunk, "can mean the hands or the way back; say raise them, or walk backward")
+            now.kind = "RISE"
+            now.ways = set()
+        held = now.rule == "still" and now.text.split()[0] in STAYS
+        if "times" not in before.amounts and (held or now.kind == "RISE"):
+            before.verb = LASTING.get(before.verb, before.verb)
 
     def _inherit(self, now: Clause) -> None:
         """Find the verb of a clause without one: "left hand up", "then the right", "and half of that back"."""
@@ -668,7 +688,22 @@ class _Reader:
         wrong = not now.ways <= {"forward", "back"} or len(now.ways) > 1
         now.refuse(wrong, f"has directions in which the robot does not {verb}; say forward or back")
         way = next(iter(now.ways), "forward")
+        if way == "back" and self._faces_back(now):
+            if not now.amounts and len(self.way) > 1:
+                return self._come_back(now, speed)
+            way = "forward"
         return Action(verb=verb, sides=tuple(sides), way=way, amounts=dict(now.amounts), speed=speed)
+
+    def _faces_back(self, now: Clause) -> bool:
+        """Return whether "walk back" is the way back, forward: behind a turn by 180°."""
+        last = self.way[-1] if self.way else None
+        if last is None or last.verb != "turn" or last.amounts.get("degrees") != HALF or "back up" in now.text:
+            return False
+        if "back" not in now.text.split():
+            return False
+        unclear = now.rule != "walk" or now.kind == "MOVE"
+        now.refuse(unclear, "can mean backward or the way back; say backward or forward")
+        return True
 
     def _come_back(self, now: Clause, speed: float) -> Action:
         """Return the one walk before, the other way; the same way if the robot has turned around since."""
@@ -678,7 +713,7 @@ class _Reader:
         )
         walk = self.way[walks[0]] if walks else Action(verb="walk", way="forward")
         turned = sum(turn.amounts.get("degrees", 90.0) for turn in self.way[walks[0] + 1 :]) if walks else 0.0
-        unclear = turned not in (0.0, 180.0) or now.ways - {"back"} or "degrees" in walk.amounts
+        unclear = turned not in (0.0, HALF) or now.ways - {"back"} or "degrees" in walk.amounts
         now.refuse(unclear, "does not say how; say walk back 1 metre")
         way = walk.way if turned else "forward" if walk.way == "back" else "back"
         self.way = []
@@ -693,7 +728,7 @@ class _Reader:
             now.refuse(value < 10, f"has the number {value:g} without a unit; say degrees, steps or seconds")
             amounts["degrees"] = value
         if now.kind == "TURN_AROUND":
-            amounts.setdefault("degrees", 180.0)
+            amounts.setdefault("degrees", HALF)
         elif now.kind == "SPIN" or "times" in amounts:
             now.refuse(
                 now.kind == "TURN" and now.last == "times", f"has {amounts.get('times', 0):g} times; say degrees"
@@ -708,7 +743,7 @@ class _Reader:
             return Action(verb="turn", sides=(sides[0],), amounts=amounts, speed=speed)
         now.refuse(now.ways - {"around"}, "is not something the robot does; it turns left or right")
         now.refuse(now.ways and degrees is None, "does not say how far; say turn around, or a number of degrees")
-        unclear = len(sides) > 1 or not (sides or degrees in (180.0, 360.0) or now.kind == "SPIN")
+        unclear = len(sides) > 1 or not (sides or degrees in (HALF, 360.0) or now.kind == "SPIN")
         now.refuse(unclear, "does not say where to turn; say turn left, or turn right 60 degrees")
         action = Action(verb="turn", sides=(*sides, "left")[:1], amounts=amounts, speed=speed)
         self.turns.append(action)
@@ -817,7 +852,8 @@ class _Item:
         bare = more.clauses[0]
         last = self.clauses[-1]
         times = int(bare.amounts.get("times", 0))
-        if len(self.clauses) > 1 and times and all(clause.amounts for clause in self.clauses) and not bare.has("EACH"):
+        counted = [clause for clause in self.clauses if clause.amounts]
+        if len(self.clauses) > 1 and times and counted and not bare.has("EACH"):
             self.rounds = times
         else:
             last.add(bare)
@@ -952,7 +988,9 @@ def _in_turn(now: Clause, action: Action) -> Groups:
 def _at_once(group: list[Action], action: Action) -> bool:
     """Return whether "and" means at the same time: other hands, or hands and a walk without an end."""
     (other,) = group if len(group) == 1 else (action,)
-    if len(group) > 1 or {action.verb, other.verb} <= {"punch", "hook", "uppercut"}:
+    counted = "times" in (action if action.moves_trunk else other).amounts
+    boxed = {action.verb, other.verb} <= {"punch", "hook", "uppercut"}
+    if len(group) > 1 or boxed or (counted and action.moves_trunk != other.moves_trunk):
         return False
     if other.moves_base != action.moves_base:
         base = other if other.moves_base else action
@@ -964,8 +1002,8 @@ def _together(groups: Groups, more: Groups) -> Groups:
     """Return groups with actions at the same time as the last group."""
     if len(more) > 1:
         raise SourceError("two things one after the other during another are not clear; say them in order")
-    group = [*groups[-1]]
-    for action in (action for row in more for action in row):
+    group = [action for action in groups[-1] if not _holds(action)]
+    for action in (action for row in more for action in row if not _holds(action)):
         for other in group:
             _check_both(action, other)
         group.append(action)
@@ -973,6 +1011,11 @@ def _together(groups: Groups, more: Groups) -> Groups:
         seconds = {"seconds": base.amounts["seconds"]}
         group = [replace(a, amounts=seconds) if a.verb in GESTURES and not a.amounts else a for a in group]
     return [*groups[:-1], group]
+
+
+def _holds(action: Action) -> bool:
+    """Return whether an action only leaves the hands where they are."""
+    return action.verb == "wait" and action.way == "hold" and not action.amounts
 
 
 def _check_both(action: Action, other: Action) -> None:

@@ -39,8 +39,10 @@ if TYPE_CHECKING:
 
 OPEN_TIMEOUT = 60.0
 """Time limit for the first frame of a camera [s]."""
-FIRST_LOOK = 2.0
-"""Time of the first look for several people [s]; each further one comes after twice the time."""
+LOOK_EVERY = 3.0
+"""Time between two looks for several people [s]; one takes as long as some frames."""
+LATEST_LOOKS = 10
+"""Several people are said by this many latest looks."""
 LOW_PRIORITY = 10
 """Niceness of the camera process when the control loop has priority."""
 PREVIEW_WIDTH = 320
@@ -253,7 +255,7 @@ def _run_camera(
                 pictures = _play_file(chain([frame], video.frames), pipe)
             detect = stack.enter_context(BlazePose(model))
             everybody = stack.enter_context(Everybody(model))
-            people = People(everybody, None, camera, hint)
+            people = People(everybody, None, camera, hint, latest=LATEST_LOOKS)
             detect(people.show(0.0, first))  # warm-up: the first detection is slow
             pipe.send(True)
             threading.Thread(target=_keep_newest, args=(pictures, latest), daemon=True).start()
@@ -301,14 +303,15 @@ def _detect(
 
     sides = LiveSides()
     last_preview = -np.inf
-    began = time.monotonic()
-    look = FIRST_LOOK
+    began = None
+    looked = 0.0
     while (item := latest.get()) is not None:
         number, t, rgb = item
         started = time.monotonic()
-        if t - began > look:  # it takes as long as some frames: seldom
-            look *= 2
-            people.look(t - began, rgb)
+        began = began or t
+        if t - began > looked + LOOK_EVERY:
+            looked = t - began
+            people.look(looked, rgb)
         found = detect(rgb)
         no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
         landmarks, image, score = found or no_person

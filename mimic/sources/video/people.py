@@ -8,7 +8,8 @@ somebody else are left out. People are known again by their place and the colour
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -142,7 +143,15 @@ def squares(width: int, height: int) -> list[tuple[int, int, int]]:
 class People:
     """Finds everybody now and then, and shows the detector only a chosen person."""
 
-    def __init__(self, everybody: Everybody, choice: Choice | None, name: str, hint: str = CHOOSE) -> None:
+    def __init__(
+        self,
+        everybody: Everybody,
+        choice: Choice | None,
+        name: str,
+        hint: str = CHOOSE,
+        *,
+        latest: int | None = None,
+    ) -> None:
         """Prepare.
 
         Args:
@@ -151,6 +160,7 @@ class People:
                 the detector.
             name: Of the video, for messages.
             hint: What to do about several people.
+            latest: How many looks count, the latest; None for all.
         """
         self._everybody = everybody
         self._name = name
@@ -162,7 +172,8 @@ class People:
         self._own: int | None = None
         self._place: Person | None = None
         self._crop: tuple[int, int, int, int] | None = None
-        self._looks: list[tuple[float, list[Person]]] = []
+        self._looks: deque[tuple[float, list[Person]]] = deque(maxlen=latest)
+        self._closely = True
         self._rows: list[bool] = []
         self._since_look = 0
         self.astray = False
@@ -274,8 +285,8 @@ class People:
 
     def look(self, t: float, rgb: np.ndarray) -> None:
         """Look for everybody in a picture at time t [s]."""
-        closely = self._choice is not None or len(self._looks) % 2 == 0  # squares take two thirds of the time
-        people = distinct(list(self._everybody_in(rgb, closely)))
+        people = distinct(list(self._everybody_in(rgb, self._closely)))
+        self._closely = self._choice is not None or not self._closely  # squares take two thirds of the time
         self._looks.append((t, people))
         if self._choice is None:
             return
@@ -334,7 +345,7 @@ class People:
         return [*said, *[left_out] * (gaps > FEW_GAPS)]
 
 
-def describe(looks: list[tuple[float, list[Person]]], choice: Choice | None, hint: str = CHOOSE) -> list[str]:
+def describe(looks: Collection[tuple[float, list[Person]]], choice: Choice | None, hint: str = CHOOSE) -> list[str]:
     """Return a sentence if several people are in view: how many, when, and who chose among them.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mimic.geometry import R_BT
 from mimic.metrics import uprightness
-from mimic.records import JOINTS, SIDES, FloatArray, RunLog, TargetTrack
+from mimic.records import JOINTS, PHASES, SIDES, FloatArray, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film.skeleton import CENTRE, LEFT, RIGHT, Colour, soft
 from mimic.view.scene.timing import shared_time
@@ -55,12 +55,13 @@ def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | No
     """Yield every curve of a run; toe positions are relative to the base, in torso axes."""
     t = shared_time(log)
     shown = log.aimed
+    followed = log.phase == PHASES.index("track")  # the way to the first target would set the scale of the error
     wanted = log.p_BE_des
     error = 100 * np.linalg.norm(log.p_BE - wanted, axis=-1)
     target = 100 * wanted @ R_BT
     actual = 100 * log.p_BE @ R_BT
     for i, (side, colour) in enumerate(zip(SIDES, (LEFT, RIGHT), strict=True)):
-        yield Curve(plot=ERROR, name=side, colour=colour, width=2.0, t=t[shown], value=error[shown, i])
+        yield Curve(plot=ERROR, name=side, colour=colour, width=2.0, t=t[followed], value=error[followed, i])
         if targets is not None:
             moved = 100 * targets.moved[:, i]
             yield Curve(plot=ERROR, name=f"{side} clamped by", colour=soft(colour), width=1.0, t=targets.t, value=moved)

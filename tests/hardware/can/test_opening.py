@@ -73,7 +73,9 @@ def test_a_server_that_never_answers_is_given_up():
         ("slcan:", "is not a bus"),
         ("slcan:socket://127.0.0.1:29536", "is not a bus"),
         ("socketcand://127.0.0.1/can0", "lacks host or port"),
-        ("socketcand://127.0.0.1:99999/can0", "no usable port"),
+        ("socketcand://127.0.0.1:99999/can0", "no usable host or port"),
+        ("socketcand://[::1/can0", "no usable host or port"),
+        (None, "the bus is None; expected text"),
         ("socketcand://127.0.0.1:29536", "names no bus"),
     ],
 )

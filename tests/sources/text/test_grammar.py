@@ -161,6 +161,8 @@ def test_hands_stay_where_the_clause_before_left_them(plan, reach):
         ("raise both hands without moving the left one", "said of something that the sentence asks for"),
         ("walk forward, turn left and come back", "'come back' does not say how"),
         ("come back", "'come back' does not say how far"),
+        ("turn around and step back", "can mean backward or the way back"),
+        ("lower both arms, then back up", "can mean the hands or the way back"),
         ("", "no verb"),
         ("please the robot", "no verb"),
         ("slowly", "no verb"),
@@ -294,6 +296,19 @@ def test_what_a_verb_does_not_use_is_an_error_and_never_dropped(sentence, word, 
             "wave your right hand for six seconds, then do the same with the left",
             "wave your right hand for 6 s, then wave your left hand for 6 s",
         ),
+        ("about face and march back three paces", "turn around, then step forward three times"),
+        ("walk 1 m, turn around and walk back", "walk 1 m, turn around, walk forward 1 m"),
+        ("squat down and stay there for 4 s, then back up", "crouch, stop for 4 s, then stand up"),
+        ("bow and hold for 3 s", "lean forward, wait 3 s"),
+        ("two jabs and a cross, three times", "two jabs, a cross, two jabs, a cross, two jabs, a cross"),
+        ("duck twice and throw a right", "duck twice, then punch with the right hand"),
+        ("raise the left hand, keep it there while turning right", "raise the left hand, then turn right"),
+        ("can the doggy wave to grandma?", "wave"),
+        ("jab, then step back with your guard up", "jab, then step back, keeping your guard up"),
+        ("bend forward from the waist, arms hanging", "lean forward, then lower both arms"),
+        ("arm left up, wait 1 s, switch", "raise the left hand, wait 1 s, then switch"),
+        ("walk at a slow pace", "walk slowly"),
+        ("punch left and finish with a right hook", "punch left, then a right hook"),
         ("wave the left hand, switch, wave", "wave the left hand, then wave the right hand"),
         ("wave the left hand, then switch hands", "wave the left hand, then wave the right hand"),
         ("raise one hand, then switch", "raise the right hand, then raise the left hand while lowering the right hand"),
@@ -320,6 +335,7 @@ def test_two_sentences_with_one_meaning_make_the_same_motion(sentence, same, pla
     assert [f.duration for f in one.frames] == pytest.approx([f.duration for f in other.frames])
     np.testing.assert_allclose([f.q for f in one.frames], [f.q for f in other.frames])
     assert [(*f.velocity, f.heading) for f in one.frames] == [(*f.velocity, f.heading) for f in other.frames]
+    assert [f.trunk for f in one.frames] == [f.trunk for f in other.frames]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from mimic.config.pose import PoseSettings
 from mimic.errors import ConfigError, SourceError
 from mimic.records import LANDMARKS
-from mimic.sources.video.people import LOST, Person, chosen, describe, distinct, person_of, recognised, squares
+from mimic.sources.video.people import LOST, People, Person, chosen, describe, distinct, person_of, recognised, squares
 from mimic.sources.video.video import track_video
 
 RED, BLUE = np.array([45.0, 55.0, 35.0]), np.array([40.0, 10.0, -45.0])
@@ -65,6 +65,22 @@ def test_several_people_are_said_with_the_times_and_who_is_followed():
     assert said.endswith("--person left is followed")
     assert describe(looks[:2], None) == []  # once may be an error
     assert describe([(1.5 * i, one) for i in range(5)], None) == []
+
+
+def test_before_a_camera_the_latest_looks_count_and_a_second_person_is_said_late_too():
+    image = np.full((33, 2), (0.2, 0.3))
+    image[LANDMARKS.index("left_hip"), 1] = 0.6
+    found = [(image, np.ones(33))]
+    picture = np.zeros((48, 48, 3), dtype=np.uint8)
+    people = People(lambda rgb: found, None, "0", latest=10)
+    for t in range(100):
+        people.look(3.0 * t, picture)
+    assert people.sentences() == []
+    found.append((image + (0.6, 0.0), np.ones(33)))
+    people.look(300.0, picture)
+    people.look(303.0, picture)
+    (said,) = people.sentences()
+    assert said.startswith("up to 2 people are in view between 300 and 303 s")
 
 
 @pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1080, 1920), (910, 480), (640, 480)])
