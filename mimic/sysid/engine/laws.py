@@ -70,11 +70,11 @@ filtered speed, lagged torque, mean square of the current, acceleration of the m
 motor, the friction impulse of the last step, which target is followed, acceleration of the link in the last step, and
 the impulse of the motor since the row before."""
 
-ACTS = 11
-(ON_MOTOR, ON_LINK, DAMPING, MEAN, OTHERS, ASKED, LOW, HIGH, SLOWING, CHANGING, TURNED) = range(ACTS)
+ACTS = 10
+(ON_MOTOR, ON_LINK, DAMPING, MEAN, OTHERS, ASKED, LOW, HIGH, SLOWING, CHANGING) = range(ACTS)
 """Rows of what drives do in a step: torque on the shaft, on the link beside, implicit damping, the motor's mean
 torque, torque on the shaft beside it, torque asked for at the first speed, its limits, damping that changes it
-within the step, the change of speed for which all this is, and the share of the step before motion turns back."""
+within the step, and the change of speed for which all this is."""
 
 LEAST = 0.05
 """Least share of the torque constant, and of the supply, that is left."""
@@ -224,12 +224,10 @@ def limited(p, s, acts, j, h, change):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def friction(p, s, acts, j, needed):  # type: ignore[no-untyped-def]
-    """Return the mean dry friction of a joint against forward and against backward motion at the end of a step, where
-    its link needs a torque: what turns back is pushed by its friction before.
+def friction(p, s, j, torque, needed, change):  # type: ignore[no-untyped-def]
+    """Return the dry friction of a joint against forward and against backward motion, under a torque of its motor and
+    the one that its link needs, a mean over a step in which its speed changes evenly by so much.
     """
-    torque = acts[MEAN, j]
-    change = acts[CHANGING, j]
     level = p[COULOMB, j] + p[OF_LOAD, j] * abs(torque)
     if p[STRIBECK, j] != 0.0:
         first = s[VM, j] / p[STRIBECK_SPEED, j]
@@ -240,29 +238,7 @@ def friction(p, s, acts, j, needed):  # type: ignore[no-untyped-def]
         level += p[STRIBECK, j] * share
     if p[OF_GEAR, j] != 0.0:
         level += p[OF_GEAR, j] * abs(torque + needed)
-    forward = max(level + p[ONE_WAY, j], 0.0)
-    backward = max(level - p[ONE_WAY, j], 0.0)
-    if s[VM, j] > 0.0:
-        return forward, backward - acts[TURNED, j] * (forward + backward)
-    return forward - acts[TURNED, j] * (forward + backward), backward
-
-
-@inlined
-def turned(speed, change, push, forward, backward):  # type: ignore[no-untyped-def]
-    """Return the share of a step before a motion turns back, 0 where it does not: the time to its stop under even
-    forces.
-
-    Args:
-        speed: At its beginning.
-        change: Of the speed.
-        push: That part of it which is due to friction.
-        forward: What friction may change the speed by, against forward motion.
-        backward: Against backward motion.
-    """
-    if speed == 0.0 or speed * (speed + change) > 0.0:
-        return 0.0
-    against = forward if speed > 0.0 else backward
-    return min(abs(speed) / max(abs(change - push) + against, 1e-300), 1.0)
+    return max(level + p[ONE_WAY, j], 0.0), max(level - p[ONE_WAY, j], 0.0)
 
 
 @inlined

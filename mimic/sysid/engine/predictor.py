@@ -34,6 +34,8 @@ from mimic.sysid.engine.laws import (
     LEAST,
     LOAD,
     MEAN,
+    OF_GEAR,
+    OF_LOAD,
     OHM,
     ON_LINK,
     ON_MOTOR,
@@ -45,9 +47,9 @@ from mimic.sysid.engine.laws import (
     ROTOR,
     SHIFT,
     STATES,
+    STRIBECK,
     TAU,
     TOUCH,
-    TURNED,
     VISCOUS,
     VM,
     Q,
@@ -62,7 +64,6 @@ from mimic.sysid.engine.laws import (
     placed,
     reads,
     resisting,
-    turned,
     unread,
 )
 from mimic.sysid.engine.tree import (
@@ -353,7 +354,6 @@ def ask(clock, inputs, goal, motors, p, s, acts, i, begin, h):  # type: ignore[n
         on_motor, acts[ON_LINK, j] = placed(p, s, j)
         others = on_motor + resisting(p, s, j, h, int(motors[j, NEIGHBOUR])) - p[VISCOUS, j] * s[VM, j] + s[W, j]
         acts[OTHERS, j] = others
-        acts[TURNED, j] = 0.0
         act(p, s, acts, j, h, h * s[CHANGE, j])
 
 
@@ -372,7 +372,7 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
     for j in range(begin, end):
         i = j - begin
         spring = shape[j, STIFFNESS] * (s[Q, j] - shape[j, REST])
-        forward, backward = friction(p, s, acts, j, room[j, BIAS])
+        forward, backward = friction(p, s, j, acts[MEAN, j], room[j, BIAS], acts[CHANGING, j])
         inertia = p[ROTOR, j] + 0.5 * h * acts[DAMPING, j]
         link = acts[ON_LINK, j] - room[j, BIAS] - spring
         at = i
@@ -399,7 +399,7 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
 
 
 @inlined
-def changed(p, s, acts, room, a, solve, begin, end, h):  # type: ignore[no-untyped-def]
+def changed(p, s, acts, room, solve, begin, end, h):  # type: ignore[no-untyped-def]
     """Let the motors and the friction of a chain act as they do at the speeds found; return whether that is other than
     it was.
     """
@@ -414,12 +414,10 @@ def changed(p, s, acts, room, a, solve, begin, end, h):  # type: ignore[no-untyp
         before = acts[ON_MOTOR, j] - acts[OTHERS, j] - 0.5 * (acts[DAMPING, j] - p[VISCOUS, j]) * change
         act(p, s, acts, j, h, change)
         other = other or abs(acts[MEAN, j] - before) > EXACT * abs(acts[ASKED, j])
-        forward, backward = friction(p, s, acts, j, room[j, BIAS])
-        gives = a[at, at]
-        acts[TURNED, j] = turned(s[VM, j], change, gives * solve[at, LAST], h * gives * forward, h * gives * backward)
-        forward, backward = friction(p, s, acts, j, room[j, BIAS])
-        off = max(abs(h * forward - solve[at, FORWARD]), abs(h * backward - solve[at, BACKWARD]))
-        other = other or off > NEARLY * (solve[at, FORWARD] + solve[at, BACKWARD])
+        if p[STRIBECK, j] != 0.0 or p[OF_LOAD, j] != 0.0 or p[OF_GEAR, j] != 0.0:
+            forward, backward = friction(p, s, j, acts[MEAN, j], room[j, BIAS], change)
+            off = max(abs(h * forward - solve[at, FORWARD]), abs(h * backward - solve[at, BACKWARD]))
+            other = other or off > NEARLY * h * (forward + backward)
     return other
 
 
@@ -439,7 +437,7 @@ def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no
                     change += a[i, c] * solve[c, PUSHED]
                 solve[i, FAST] += change
             braked(a, count, solve)
-            if not changed(p, s, acts, room, a, solve, begin, end, h):
+            if not changed(p, s, acts, room, solve, begin, end, h):
                 break
         row = end - begin
         for j in range(begin, end):
@@ -451,10 +449,6 @@ def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no
                 row += 1
             change = solve[at, FAST] - s[VM, j]
             driven(p, s, acts, j, h, change)
-            share = acts[TURNED, j]
-            less = 0.5 * h * (s[VM, j] * (1.0 - share) + solve[at, FAST] * share) if share > 0.0 else 0.0
-            s[QM, j] -= less
-            s[Q, j] -= 0.0 if elastic(p, j) else less
             s[CHANGE, j] = change / h
             s[VM, j] = solve[at, FAST]
             s[PUSH, j] = solve[at, LAST]
