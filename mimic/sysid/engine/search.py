@@ -214,7 +214,7 @@ def _within(setting: Setting, key: tuple[str, str], tolerance: float) -> list[Fr
 
 def scored(model: Model) -> Scored:
     """Return a fitted model with its score."""
-    model = _pruned(model).differentiated()
+    model = replace(_pruned(model), columns=None).differentiated()  # those of a fit tell its way, not errors of numbers
     return Scored(
         model=model,
         density=model.held_out(),
