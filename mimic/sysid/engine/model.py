@@ -508,7 +508,7 @@ class Model:
     def held_out(self) -> FloatArray:
         """Return the log density of the readings of each block (B,) under fits without their folds."""
         e = self.left_out()
-        return -np.bincount(self.data.block, misfit(e, scales(e, self.data), self.data).sum(axis=1))
+        return np.bincount(self.data.block, -misfit(e, scales(e, self.data), self.data).sum(axis=1)).astype(float)
 
 
 def _damped(hessian: FloatArray, descent: FloatArray, moves: BoolArray, damping: float) -> FloatArray:
