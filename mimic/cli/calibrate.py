@@ -142,7 +142,7 @@ def _found(result: Calibration) -> dict[str, str]:
 
     rows = {}
     for e in result.effects:
-        if e.name not in result.names:
+        if e.name not in {one.name for one in result.found}:
             continue
         parts = []
         for name, values in e.values.items():

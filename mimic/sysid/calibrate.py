@@ -162,7 +162,9 @@ def calibrate(
         explained=outcome.explained,
         effects=_effects(outcome, coarse),
         unexplained=rest,
-        sentence=sentence(found, alternatives, rest, said, joints, hunt.most > 0) if matches else no_match(why),
+        sentence=sentence(found, alternatives, rest, said, joints, hunt.most > 0, outcome.explained)
+        if matches
+        else no_match(why),
         log_matches_model=matches,
         experiments=next_logs(found, alternatives, rest, further) if matches else (),
         next_motion=further,

@@ -211,8 +211,8 @@ class Calibration(ShownAsTable):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the effects found."""
-        return tuple(one.name for one in self.found)
+        """Names of the effects found; none where they only help, and something unknown is left."""
+        return tuple(one.name for one in self.found) if self.explained else ()
 
     def to_json(self) -> dict[str, Any]:
         """Return everything but the traces as plain data; the keys are described in docs/manual/calibration.md."""

@@ -31,6 +31,7 @@ def sentence(
     errors: str,
     joints: Sequence[str],
     searched: bool,
+    explained: bool,
 ) -> str:
     """Return what the model lacked.
 
@@ -41,6 +42,7 @@ def sentence(
         errors: Errors before and after, in words.
         joints: All joints.
         searched: Whether effects were looked for.
+        explained: Whether those found explain the machine.
     """
     unexplained = left(rest)
     if not searched:
@@ -52,10 +54,10 @@ def sentence(
         return f"No effect of the catalogue explains the remaining error ({errors}). Unexplained: {unexplained}."
     named = " and ".join(f"{called([(one.name, one.joints)], joints)}{_share(one, unexplained)}" for one in found)
     others = "; or ".join(dict.fromkeys(called(one.effects, joints) for one in alternatives))
-    return (
-        f"The model lacked {named} ({errors}). Alternatives this log cannot rule out: {others or 'none'}."
-        f" Unexplained: {unexplained or 'none'}."
-    )
+    lacked = f"The model lacked {named} ({errors})."
+    if not explained:
+        lacked = f"No effect of the catalogue explains the remaining error ({errors}). What helps: {named}."
+    return f"{lacked} Alternatives this log cannot rule out: {others or 'none'}. Unexplained: {unexplained or 'none'}."
 
 
 def called(effects: Sequence[tuple[str, tuple[str, ...]]], joints: Sequence[str]) -> str:

@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 from threadpoolctl import threadpool_info
 
+from lab.hidden_effects import planar_arm
 from mimic.config.sysid import CalibrateSettings, LogSettings
 from mimic.dynamics.catalogue import CATALOGUE, UnknownEffect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
@@ -293,3 +294,18 @@ def test_a_torque_that_wanders_slowly_is_called_nothing(arm: MachineModel) -> No
     assert not shoulder.explained
     assert shoulder.torque == pytest.approx(0.3, rel=0.4)
     assert "time" in dict(shoulder.depends_on)
+
+
+@pytest.mark.slow
+def test_a_tilted_stand_is_told_beside_an_offset_of_an_encoder(tmp_path) -> None:
+    """In a plane a tilt moves all joints as an offset of the first encoder does."""
+    log = planar_arm.arm_log(planar_arm.CLOCKS["grid"], seconds=24.0, seed=3)
+    turned = np.array([0.12, 0.0])
+    log = replace(log, q=log.q + turned, q_des=log.q_des + turned)
+    result = calibrate(log, planar_arm.arm_model(tmp_path), CalibrateSettings(threads=1))
+    others = {name for one in result.alternatives for name, _ in one.effects}
+    assert {"encoder_offset", "base_tilt"} <= {*result.names, *others}
+    assert len(result.names) == 1
+    assert "encoder offset" in result.sentence
+    assert "tilted base" in result.sentence
+    assert "base_tilt" in str(result.to_json()["alternatives"]) + str(result.to_json()["found"])

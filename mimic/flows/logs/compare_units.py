@@ -77,7 +77,7 @@ def compare(
         result = calibrate(log, model, settings, notes=notes, reporter=reporter)
         if not result.log_matches_model:
             raise CalibrationError(f"{log if isinstance(log, (str, Path)) else 'a log'}: {result.sentence}")
-        found += [name for name in result.names if name not in found]
+        found += [one.name for one in result.found if one.name not in found]
     both = replace(settings, baseline=(*settings.baseline, *found), most_effects=0)
     fits = [calibrate(log, model, both, notes=notes, reporter=reporter) for log in logs]
     differences = _differences(fits[0], fits[1])

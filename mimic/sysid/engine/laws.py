@@ -7,6 +7,8 @@ torque limits do not fall with it, and what is left of the torque heats.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE
@@ -64,9 +66,15 @@ MOMENT = ROW["spring", "moment"]
 STATES = 15
 (Q, V, QM, VM, W, GOAL, SLOW, LAGGED, HEAT, CHANGE, TAU, PUSH, AIM, GAINED, GIVEN) = range(STATES)
 """Rows of the table of states: position and velocity of the link and of the motor, unknown torque, filtered target,
-filtered speed, lagged torque, mean square of the current, last change of the motor's speed, torque of the motor, the
-friction impulse of the last step, which target is followed, the last change of the link's speed, and the impulse of the
-motor since the row before."""
+filtered speed, lagged torque, mean square of the current, acceleration of the motor in the last step, torque of the
+motor, the friction impulse of the last step, which target is followed, acceleration of the link in the last step, and
+the impulse of the motor since the row before."""
+
+ACTS = 10
+(ON_MOTOR, ON_LINK, DAMPING, MEAN, OTHERS, ASKED, LOW, HIGH, SLOWING, CHANGING) = range(ACTS)
+"""Rows of what drives do in a step: torque on the shaft, on the link beside, implicit damping, the motor's mean
+torque, torque on the shaft beside it, torque asked for at the first speed, its limits, damping that changes it
+within the step, and the change of speed for which all this is."""
 
 LEAST = 0.05
 """Least share of the torque constant, and of the supply, that is left."""
@@ -101,10 +109,12 @@ def elastic(p, j):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def slowed(state, wanted, time, h):  # type: ignore[no-untyped-def]
-    """Return a first-order lag's state after a step, and its mean during the step."""
-    left = np.exp(-h / time)
-    return wanted + (state - wanted) * left, wanted + (state - wanted) * (1.0 - left) * time / h
+def slowed(state, first, change, time, h):  # type: ignore[no-untyped-def]
+    """Return a first-order lag's state after a step in which what it follows changes evenly, and its mean during it."""
+    ratio = time / h
+    over = 1.0 - np.exp(-h / time)
+    end = first + (state - first) * (1.0 - over) + change * (1.0 - ratio * over)
+    return end, first + (state - first) * over * ratio + change * (0.5 - ratio * (1.0 - ratio * over))
 
 
 @inlined
@@ -120,18 +130,17 @@ def limits(p, j, speed, supply, sagged):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, sagged, volts):  # type: ignore[no-untyped-def]
-    """Return the mean torque of a motor over a step, its mean size, and the damping that is implicit in it.
+def drive(p, s, acts, j, h, time, target, kp, kd, force, supply, sagged, volts):  # type: ignore[no-untyped-def]
+    """Write what a motor does in a step.
 
     Args:
         p: Numbers (S, J).
-        s: States (STATES, J), positions in the middle of the step; lags and heat are brought to its end.
+        s: States (STATES, J), positions in the middle of the step; a filtered target is brought to its end.
+        acts: What drives do (ACTS, J).
         j: Joint.
         h: Step [s].
         time: Since the beginning of the log [s].
-        first: Target at the beginning of the step.
-        second: Target at its end.
-        share: Share of the step that has the first.
+        target: Followed throughout the step.
         kp: Gain of the log [N m/rad].
         kd: [N m s/rad]
         force: Torque asked for beside the targets [N m].
@@ -139,8 +148,6 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, sagged,
         sagged: That part of it which the motors' work leaves.
         volts: Supply of a voltage drive [V], 0 for a drive of torque.
     """
-    speed = s[VM, j]
-    middle = s[VM, j] + 0.5 * s[CHANGE, j]
     constant = p[CONSTANT, j] * max(1.0 + p[DRIFT, j] * time / 100.0, LEAST)
     stiff = kp * constant * p[KP, j]
     damp = kd * constant * p[KD, j] * p[SCALE, j]
@@ -149,69 +156,102 @@ def drive(p, s, j, h, time, first, second, share, kp, kd, force, supply, sagged,
         stall = volts * supply * p[KT, j] / p[OHM, j]
         stiff *= supply
     if p[GOAL_TIME, j] > 0.0:
-        wanted = share * first + (1.0 - share) * second
-        s[GOAL, j], first = slowed(s[GOAL, j], wanted, p[GOAL_TIME, j], h)
-        share = 1.0
-    seen = speed
-    implicit = True
+        s[GOAL, j], target = slowed(s[GOAL, j], target, 0.0, p[GOAL_TIME, j], h)
+    seen = s[VM, j]
+    share = 0.5
     if p[SPEED_TIME, j] > 0.0:
-        s[SLOW, j], seen = slowed(s[SLOW, j], middle, p[SPEED_TIME, j], h)
-        implicit = False
-    if p[TORQUE_TIME, j] > 0.0:
-        implicit = False
-        if p[SPEED_TIME, j] <= 0.0:
-            seen = middle
+        seen = slowed(s[SLOW, j], seen, 0.0, p[SPEED_TIME, j], h)[1]
+        share = slowed(0.0, 0.0, 1.0, p[SPEED_TIME, j], h)[1]
+    middle = s[VM, j] + 0.5 * h * s[CHANGE, j]
     low, high = limits(p, j, middle, 1.0, 1.0) if volts > 0.0 else limits(p, j, middle, supply, sagged)
-    read = reads(p, j, s[QM, j])
-    mean = 0.0
-    size = 0.0
-    kept = 0.0
-    for part in range(2):
-        weight = share if part == 0 else 1.0 - share
-        if weight <= 0.0:
-            continue
-        asked = min(max(stiff * ((first if part == 0 else second) - read), -stall), stall) - damp * seen + force
-        given = min(max(asked, low), high)
-        mean += weight * given
-        size += weight * abs(given)
-        if given == asked and implicit:
-            kept += weight * damp
-    if p[TORQUE_TIME, j] > 0.0:
-        s[LAGGED, j], mean = slowed(s[LAGGED, j], mean, p[TORQUE_TIME, j], h)
-        size = abs(mean)
-    if p[LOSS, j] != 0.0:  # a drive limits the current, which heats; what it makes of that is less
-        left = max(1.0 - p[LOSS, j] * s[HEAT, j], LEAST)
-        s[HEAT, j] += h * (mean * mean - s[HEAT, j]) / p[HEAT_TIME, j]
-        mean *= left
-        size *= left
-        kept *= left
-    s[TAU, j] = mean
-    s[GIVEN, j] += h * mean
-    return mean, size, kept
+    left = heat_leaves(p, s, j)
+    asked = min(max(stiff * (target - reads(p, j, s[QM, j])), -stall), stall) - damp * seen + force
+    acts[ASKED, j] = left * asked
+    acts[LOW, j] = left * low
+    acts[HIGH, j] = left * high
+    acts[SLOWING, j] = left * 2.0 * share * damp
 
 
 @inlined
-def friction(p, s, j, size, needed):  # type: ignore[no-untyped-def]
-    """Return the dry friction of a joint against forward and against backward motion."""
-    level = p[COULOMB, j] + p[OF_LOAD, j] * size
+def heat_leaves(p, s, j):  # type: ignore[no-untyped-def]
+    """Return the share of the torque that a hot motor makes of its current, which its drive limits."""
+    return max(1.0 - p[LOSS, j] * s[HEAT, j], LEAST) if p[LOSS, j] != 0.0 else 1.0
+
+
+@inlined
+def driven(p, s, acts, j, h, change):  # type: ignore[no-untyped-def]
+    """Bring lags, heat and torque of a motor to the end of a step in which its speed changed by so much."""
+    if p[SPEED_TIME, j] > 0.0:
+        s[SLOW, j] = slowed(s[SLOW, j], s[VM, j], change, p[SPEED_TIME, j], h)[0]
+    if p[TORQUE_TIME, j] > 0.0:
+        first = min(max(acts[ASKED, j], acts[LOW, j]), acts[HIGH, j])
+        last = min(max(acts[ASKED, j] - acts[SLOWING, j] * change, acts[LOW, j]), acts[HIGH, j])
+        s[LAGGED, j] = slowed(s[LAGGED, j], first, last - first, p[TORQUE_TIME, j], h)[0]
+    if p[LOSS, j] != 0.0:
+        current = acts[MEAN, j] / heat_leaves(p, s, j)
+        s[HEAT, j] += h * (current * current - s[HEAT, j]) / p[HEAT_TIME, j]
+    s[TAU, j] = acts[MEAN, j]
+    s[GIVEN, j] += h * acts[MEAN, j]
+
+
+@inlined
+def below(asked, low, high):  # type: ignore[no-untyped-def]
+    """Return the integral of a torque within its limits up to what is asked for."""
+    within = min(max(asked, low), high)
+    return 0.5 * within * within + (asked - within) * within
+
+
+@inlined
+def limited(p, s, acts, j, h, change):  # type: ignore[no-untyped-def]
+    """Return the mean torque of a motor over a step in which its speed changes evenly by so much, and its damping by
+    half of that: what is asked for may reach a limit, or leave it, within the step.
+    """
+    slowing = acts[SLOWING, j]
+    low = acts[LOW, j]
+    high = acts[HIGH, j]
+    first = acts[ASKED, j]
+    last = first - slowing * change
+    begin = min(max(first, low), high)
+    end = min(max(last, low), high)
+    if p[TORQUE_TIME, j] > 0.0:
+        mean = slowed(s[LAGGED, j], begin, end - begin, p[TORQUE_TIME, j], h)[1]
+        share = slowed(0.0, 0.0, 1.0, p[TORQUE_TIME, j], h)[1]
+        return mean, 2.0 * share * slowing if low < last < high else 0.0
+    if abs(last - first) < 1e-9:
+        return begin, slowing if low < first < high else 0.0
+    mean = (below(last, low, high) - below(first, low, high)) / (last - first)
+    return mean, 2.0 * slowing * (end - mean) / (last - first)
+
+
+@inlined
+def friction(p, s, j, torque, needed, change):  # type: ignore[no-untyped-def]
+    """Return the dry friction of a joint against forward and against backward motion, under a torque of its motor and
+    the one that its link needs, a mean over a step in which its speed changes evenly by so much.
+    """
+    level = p[COULOMB, j] + p[OF_LOAD, j] * abs(torque)
     if p[STRIBECK, j] != 0.0:
-        level += p[STRIBECK, j] * np.exp(-((s[VM, j] / p[STRIBECK_SPEED, j]) ** 2))
+        first = s[VM, j] / p[STRIBECK_SPEED, j]
+        by = change / p[STRIBECK_SPEED, j]
+        share = np.exp(-((first + 0.5 * by) ** 2))
+        if abs(by) > 1e-3:
+            share = 0.5 * np.sqrt(np.pi) * (math.erf(first + by) - math.erf(first)) / by
+        level += p[STRIBECK, j] * share
     if p[OF_GEAR, j] != 0.0:
-        level += p[OF_GEAR, j] * abs(s[TAU, j] + needed)
+        level += p[OF_GEAR, j] * abs(torque + needed)
     return max(level + p[ONE_WAY, j], 0.0), max(level - p[ONE_WAY, j], 0.0)
 
 
 @inlined
-def resisting(p, s, j, neighbour):  # type: ignore[no-untyped-def]
+def resisting(p, s, j, h, neighbour):  # type: ignore[no-untyped-def]
     """Return the torque on a motor's shaft that depends on its speed, beside viscous friction."""
     torque = 0.0
-    middle = s[VM, j] + 0.5 * s[CHANGE, j]
+    middle = s[VM, j] + 0.5 * h * s[CHANGE, j]
     if p[DRAG, j] != 0.0:
         torque -= p[DRAG, j] * middle * abs(middle)
     if p[ONE_WAY_SLOPE, j] != 0.0:
         torque -= p[ONE_WAY_SLOPE, j] * abs(middle)
     if p[COUPLING, j] != 0.0:
-        torque -= p[COUPLING, j] * (s[V, neighbour] + 0.5 * s[CHANGE, neighbour])
+        torque -= p[COUPLING, j] * (s[V, neighbour] + 0.5 * h * s[CHANGE, neighbour])
     return torque
 
 

@@ -25,8 +25,8 @@ from mimic.sysid.log.noise import SMOOTH
 STEP = 1.25e-3
 """Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
 
-COARSE = 2.0 * STEP, 4.0 * STEP
-"""The same for derivatives: with effects that have thresholds or states of their own, and without [s]."""
+COARSE = 2.0 * STEP
+"""The same for derivatives [s]: with twice of it fits end beside the greatest likelihood."""
 
 PART = 0.5, 0.1
 """Change of a number for a derivative, in differences that matter: of an effect with a threshold, and of others."""
@@ -303,9 +303,7 @@ class Model:
         colours = np.full(len(x), -1)
         colours[first:] = _colours(self.free[first:], np.asarray(data.machine.chain))
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
-        stiff = any(CATALOGUE[f.key[0]].structural for f in self.free)
-        step = COARSE[0] if stiff else COARSE[1]
-        *moved, still = self.setting.passes.run([*tables, self.table], self.gains, step)
+        *moved, still = self.setting.passes.run([*tables, self.table], self.gains, COARSE)
         columns = list(known)
         for k, f in list(enumerate(self.free))[first:]:
             own = self.moved(f)
@@ -507,10 +505,10 @@ class Model:
             e[rows] = replace(known, columns=now.columns).fitted(2).e[rows]
         return e
 
-    def held_out(self) -> float:
-        """Return the log density of all readings under fits without their folds."""
+    def held_out(self) -> FloatArray:
+        """Return the log density of the readings of each block (B,) under fits without their folds."""
         e = self.left_out()
-        return -float(misfit(e, scales(e, self.data), self.data).sum())
+        return np.bincount(self.data.block, -misfit(e, scales(e, self.data), self.data).sum(axis=1)).astype(float)
 
 
 def _damped(hessian: FloatArray, descent: FloatArray, moves: BoolArray, damping: float) -> FloatArray:

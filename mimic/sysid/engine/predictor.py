@@ -1,9 +1,9 @@
 """One pass over logs: a machine with a drive in each joint, predicted to the end of each block.
 
 Leapfrog steps with damping and transmissions in the middle of the step (second order, stable at any stiffness of them);
-dry friction is exact, so that what sticks does not creep; a step in which a target arrives has the torque of each
-target for its share of the time. Before a block ends, a second state follows the readings by constant gains, with an
-unknown torque in each joint that decays, and is where the next block begins.
+dry friction is exact, so that what sticks does not creep; steps end where targets arrive, and torques reach their
+limits within a step, so that a prediction is smooth in all numbers. Before a block ends, a second state follows the
+readings by constant gains, with an unknown torque in each joint that decays, and is where the next block begins.
 """
 
 from __future__ import annotations
@@ -16,8 +16,12 @@ from numba import njit
 
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.engine.laws import (
+    ACTS,
     AIM,
+    ASKED,
     CHANGE,
+    CHANGING,
+    DAMPING,
     DELAY,
     DROP,
     FACTOR,
@@ -29,7 +33,13 @@ from mimic.sysid.engine.laws import (
     KT,
     LEAST,
     LOAD,
+    MEAN,
+    OF_GEAR,
+    OF_LOAD,
     OHM,
+    ON_LINK,
+    ON_MOTOR,
+    OTHERS,
     PITCH,
     PUSH,
     QM,
@@ -37,6 +47,7 @@ from mimic.sysid.engine.laws import (
     ROTOR,
     SHIFT,
     STATES,
+    STRIBECK,
     TAU,
     TOUCH,
     VISCOUS,
@@ -45,9 +56,11 @@ from mimic.sysid.engine.laws import (
     V,
     W,
     drive,
+    driven,
     elastic,
     friction,
     gear,
+    limited,
     placed,
     reads,
     resisting,
@@ -81,11 +94,20 @@ USUAL = 1.25e-3
 RIGID = 5e-3
 """Time for which masses, gravity and Coriolis forces are those in its middle [s]: drives and friction change faster."""
 
+TRIES = 4
+"""Most solutions of a step: until torques are those of the speeds that they lead to."""
+
+NEARLY = 1e-3
+"""Share of friction by which it may be off where it depends on speed or torque."""
+
+SAME = 1e-9
+"""Times that are the same [s]."""
+
 SWEEPS = 40
 """Most sweeps over the joints to find which stick; each leaves a part of the error that masses couple."""
 
 EXACT = 1e-6
-"""Share of the dry friction by which it may be off."""
+"""Share of the dry friction, and of the torque asked for, by which they may be off."""
 
 
 class Record(NamedTuple):
@@ -209,9 +231,6 @@ FAST, FORWARD, BACKWARD, LAST, PUSHED, SOLVE = range(6)
 """Columns of the equations of a step: velocity, largest friction impulses against forward and backward motion, the last
 impulse, and that of all other forces."""
 
-TORQUE, ON_LINK, DAMPING, SIZE, ASKED = range(5)
-"""Rows of what drives do in a step: torque on the shaft, on the link beside, implicit damping, mean size."""
-
 READING, ADDED, STIFF, DAMP, INPUTS = range(5)
 """Columns of a row of a log: reading, torque beside the targets, gains, which are 0 where the drive is off."""
 
@@ -293,22 +312,37 @@ def supply_left(p, s):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h):  # type: ignore[no-untyped-def]
-    """Let all drives and outer torques act for step k of those that end at row i."""
-    sagged = supply_left(p, s)
-    left = sagged * clock[i, SUPPLY]
+def until(sent, p, s, begin, end):  # type: ignore[no-untyped-def]
+    """Let all drives follow the targets that have arrived; return when the next one does, or the end of a step."""
     for j in range(s.shape[1]):
-        begin = clock[i - 1, TIME] + k * h - p[DELAY, j] - p[JOINT_DELAY, j]
+        late = p[DELAY, j] + p[JOINT_DELAY, j]
         aim = int(s[AIM, j])
-        while aim + 1 < len(sent) and sent[aim + 1] <= begin:
+        while aim + 1 < len(sent) and sent[aim + 1] + late <= begin + SAME:
             aim += 1
         s[AIM, j] = aim
-        first = goal[aim, j]
-        second = first
-        share = 1.0
-        if aim + 1 < len(sent) and sent[aim + 1] < begin + h:
-            share = (sent[aim + 1] - begin) / h
-            second = goal[aim + 1, j]
+        if aim + 1 < len(sent) and sent[aim + 1] + late < end - SAME:
+            end = sent[aim + 1] + late
+    return end
+
+
+@inlined
+def act(p, s, acts, j, h, change):  # type: ignore[no-untyped-def]
+    """Let a motor act in a step in which its speed changes by so much."""
+    torque, slowing = limited(p, s, acts, j, h, change)
+    acts[CHANGING, j] = change
+    acts[MEAN, j] = torque
+    acts[ON_MOTOR, j] = acts[OTHERS, j] + torque + 0.5 * slowing * change
+    acts[DAMPING, j] = p[VISCOUS, j] + slowing
+
+
+@inlined
+def ask(clock, inputs, goal, motors, p, s, acts, i, begin, h):  # type: ignore[no-untyped-def]
+    """Let all drives and outer torques act for a step on the way to row i."""
+    sagged = supply_left(p, s)
+    left = sagged * clock[i, SUPPLY]
+    since = clock[i - 1, SINCE] + begin - clock[i - 1, TIME]
+    for j in range(s.shape[1]):
+        target = goal[int(s[AIM, j]), j]
         kp = inputs[i - 1, j, STIFF]
         kd = inputs[i - 1, j, DAMP]
         volts = motors[j, VOLTS]
@@ -316,16 +350,11 @@ def ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h):  # type: ignore
             more = p[KT, j] / motors[j, OWN_KT] * motors[j, OWN_OHM] / p[OHM, j]
             kp = kp * more
             kd = kd * more * p[KT, j] / motors[j, OWN_KT]
-        since = clock[i - 1, SINCE] + k * h
-        torque, size, kept = drive(
-            p, s, j, h, since, first, second, share, kp, kd, inputs[i - 1, j, ADDED], left, sagged, volts
-        )
-        on_motor, on_link = placed(p, s, j)
-        torque += on_motor + resisting(p, s, j, int(motors[j, NEIGHBOUR])) - p[VISCOUS, j] * s[VM, j] + s[W, j]
-        acts[TORQUE, j] = torque
-        acts[ON_LINK, j] = on_link
-        acts[SIZE, j] = size
-        acts[DAMPING, j] = p[VISCOUS, j] + kept
+        drive(p, s, acts, j, h, since, target, kp, kd, inputs[i - 1, j, ADDED], left, sagged, volts)
+        on_motor, acts[ON_LINK, j] = placed(p, s, j)
+        others = on_motor + resisting(p, s, j, h, int(motors[j, NEIGHBOUR])) - p[VISCOUS, j] * s[VM, j] + s[W, j]
+        acts[OTHERS, j] = others
+        act(p, s, acts, j, h, h * s[CHANGE, j])
 
 
 @inlined
@@ -343,7 +372,7 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
     for j in range(begin, end):
         i = j - begin
         spring = shape[j, STIFFNESS] * (s[Q, j] - shape[j, REST])
-        forward, backward = friction(p, s, j, acts[SIZE, j], room[j, BIAS])
+        forward, backward = friction(p, s, j, acts[MEAN, j], room[j, BIAS], acts[CHANGING, j])
         inertia = p[ROTOR, j] + 0.5 * h * acts[DAMPING, j]
         link = acts[ON_LINK, j] - room[j, BIAS] - spring
         at = i
@@ -356,11 +385,11 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
             a[at, i] -= h * implicit
             a[at, at] = inertia + h * implicit
             solve[i, PUSHED] = h * (torque + link)
-            solve[at, PUSHED] = h * (acts[TORQUE, j] - torque)
+            solve[at, PUSHED] = h * (acts[ON_MOTOR, j] - torque)
             solve[i, FORWARD] = solve[i, BACKWARD] = solve[i, LAST] = 0.0
         else:
             a[i, i] += inertia
-            solve[i, PUSHED] = h * (acts[TORQUE, j] + link)
+            solve[i, PUSHED] = h * (acts[ON_MOTOR, j] + link)
         solve[at, FORWARD] = h * forward
         solve[at, BACKWARD] = h * backward
         solve[at, LAST] = s[PUSH, j]
@@ -370,29 +399,57 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
 
 
 @inlined
+def changed(p, s, acts, room, solve, begin, end, h):  # type: ignore[no-untyped-def]
+    """Let the motors and the friction of a chain act as they do at the speeds found; return whether that is other than
+    it was.
+    """
+    other = False
+    row = end - begin
+    for j in range(begin, end):
+        at = j - begin
+        if elastic(p, j):
+            at = row
+            row += 1
+        change = solve[at, FAST] - s[VM, j]
+        before = acts[ON_MOTOR, j] - acts[OTHERS, j] - 0.5 * (acts[DAMPING, j] - p[VISCOUS, j]) * change
+        act(p, s, acts, j, h, change)
+        other = other or abs(acts[MEAN, j] - before) > EXACT * abs(acts[ASKED, j])
+        if p[STRIBECK, j] != 0.0 or p[OF_LOAD, j] != 0.0 or p[OF_GEAR, j] != 0.0:
+            forward, backward = friction(p, s, j, acts[MEAN, j], room[j, BIAS], change)
+            off = max(abs(h * forward - solve[at, FORWARD]), abs(h * backward - solve[at, BACKWARD]))
+            other = other or off > NEARLY * h * (forward + backward)
+    return other
+
+
+@inlined
 def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no-untyped-def]
     """Bring the velocities of all joints and rotors to the end of a step."""
     n = s.shape[1]
     begin = 0
     while begin < n:
         end = joints[begin, END]
-        count = equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h)
-        inverted(a, count)
-        for i in range(count):
-            change = 0.0
-            for c in range(count):
-                change += a[i, c] * solve[c, PUSHED]
-            solve[i, FAST] += change
-        braked(a, count, solve)
+        for _ in range(TRIES):
+            count = equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h)
+            inverted(a, count)
+            for i in range(count):
+                change = 0.0
+                for c in range(count):
+                    change += a[i, c] * solve[c, PUSHED]
+                solve[i, FAST] += change
+            braked(a, count, solve)
+            if not changed(p, s, acts, room, solve, begin, end, h):
+                break
         row = end - begin
         for j in range(begin, end):
             at = j - begin
-            s[GAINED, j] = solve[at, FAST] - s[V, j]
+            s[GAINED, j] = (solve[at, FAST] - s[V, j]) / h
             s[V, j] = solve[at, FAST]
             if elastic(p, j):
                 at = row
                 row += 1
-            s[CHANGE, j] = solve[at, FAST] - s[VM, j]
+            change = solve[at, FAST] - s[VM, j]
+            driven(p, s, acts, j, h, change)
+            s[CHANGE, j] = change / h
             s[VM, j] = solve[at, FAST]
             s[PUSH, j] = solve[at, LAST]
         begin = end
@@ -461,11 +518,11 @@ def half(p, s, h):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def ahead(p, s, room, h, steps):  # type: ignore[no-untyped-def]
-    """Write where the links will be in the middle of some steps, from the middle of their first."""
+def ahead(p, s, room, h, time):  # type: ignore[no-untyped-def]
+    """Write where the links will be in the middle of some time, from the middle of its first step."""
     for j in range(s.shape[1]):
-        room[j, MOVING] = s[V, j] + 0.5 * steps * s[GAINED, j]
-        room[j, AT] = s[Q, j] + 0.5 * (steps - 1) * h * room[j, MOVING]
+        room[j, MOVING] = s[V, j] + 0.5 * time * s[GAINED, j]
+        room[j, AT] = s[Q, j] + 0.5 * (time - h) * room[j, MOVING]
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST_MATH, _nrt=False)  # type: ignore[call-overload]
@@ -476,16 +533,24 @@ def advanced(machine, logs, p, s, rooms, i, steps, h, kept):  # type: ignore[no-
     room, mass, acts, a, solve = rooms
     together = max(int(RIGID / h + 1e-3), 1)
     for k in range(steps):
-        half(p, s, h)
-        if k % together == 0:
-            ahead(p, s, room, h, min(together, steps - k))
-            dynamics(joints, shape, loads, marks[i, LOG], pull, room, mass)
-        ask(clock, inputs, sent, goal, motors, p, s, acts, i, k, h)
-        move(joints, shape, p, s, acts, room, mass, a, solve, h)
+        now = clock[i - 1, TIME] + k * h
+        end = now + h
+        new = k % together == 0
+        while now < end:
+            then = until(sent, p, s, now, end)
+            part = then - now
+            half(p, s, part)
+            if new:
+                ahead(p, s, room, part, min(together, steps - k) * h)
+                dynamics(joints, shape, loads, marks[i, LOG], pull, room, mass)
+                new = False
+            ask(clock, inputs, goal, motors, p, s, acts, i, now, part)
+            move(joints, shape, p, s, acts, room, mass, a, solve, part)
+            if not half(p, s, part):
+                return False
+            now = then
         for j in range(s.shape[1]):
             s[W, j] *= kept
-        if not half(p, s, h):
-            return False
     return True
 
 
@@ -515,7 +580,7 @@ def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step
     ring = np.sqrt(1.0 / (p[TOUCH] * np.maximum(p[ROTOR], 1e-5)))[touching].max(initial=0.0) * USUAL
     step *= min(1.0, RING / max(ring, 1e-9))
     out = np.zeros((3, *arrays.inputs.shape[:2]))
-    shapes = (n, ROOM), (n, n), (ASKED, n), (2 * n, 2 * n), (2 * n, SOLVE)
+    shapes = (n, ROOM), (n, n), (ACTS, n), (2 * n, 2 * n), (2 * n, SOLVE)
     rooms = tuple(np.zeros(shape) for shape in shapes)
     both = np.zeros((STATES, n)), np.zeros((STATES, n))
     machine = arrays.joints, arrays.shape, np.stack(loads), pull

@@ -16,6 +16,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray
 from mimic.sysid.engine.data import Data
+from mimic.sysid.engine.effects import SURE
 from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.likelihood import FOLLOWING, scales
 from mimic.sysid.engine.model import Free, Model, Setting, to_fit
@@ -57,7 +58,8 @@ MOST = 0.9
 """Or share of the squared error beyond the noise that it must remove."""
 
 TIED = 6.0
-"""Nats of independent readings left out up to which two explanations are not told apart: odds of 400 to one."""
+"""Nats of independent readings left out up to which two explanations are not told apart, or a 95 % interval of their
+difference if that is wider: odds of 400 to one."""
 
 RIVAL = 0.5
 """Share of the gain of the best first effect from which another is followed to its end where a path does not explain a
@@ -99,8 +101,8 @@ class Scored:
     """A fitted model, judged by what it predicts of blocks that were left out."""
 
     model: Model
-    density: float
-    """Log density of the blocks that were left out [nats]."""
+    density: FloatArray
+    """Log density of each block, left out (B,) [nats]."""
     implausible: float
     """Minus the log of how plausible the numbers are [nats]."""
     numbers: float
@@ -114,8 +116,15 @@ class Scored:
 
     def apart(self, other: Scored) -> float:
         """Return by how much this model predicts better than another [nats of independent readings]."""
-        said = (self.density - other.density) / float(np.sqrt(self.repeats * other.repeats))
-        return said + other.implausible - self.implausible
+        return float(self._said(other).sum()) + other.implausible - self.implausible
+
+    def unsure(self, other: Scored) -> float:
+        """Return how far off that may be, since blocks differ [nats of independent readings]. Source: Vuong 1989."""
+        said = self._said(other)
+        return SURE * float(np.std(said) * np.sqrt(len(said)))
+
+    def _said(self, other: Scored) -> FloatArray:
+        return (self.density - other.density) / np.sqrt(self.repeats * other.repeats)
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -205,7 +214,7 @@ def _within(setting: Setting, key: tuple[str, str], tolerance: float) -> list[Fr
 
 def scored(model: Model) -> Scored:
     """Return a fitted model with its score."""
-    model = _pruned(model).differentiated()
+    model = replace(_pruned(model), columns=None).differentiated()  # those of a fit tell its way, not errors of numbers
     return Scored(
         model=model,
         density=model.held_out(),
@@ -298,7 +307,11 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
     best = _confirmed(best, null, hunt)
     rivals = [*others, *dropped] if best is seen else []
     best = scored(best.model.settled(4))
-    ties = {one.model.effects: (one.model, best.apart(one)) for one in rivals}
+    ties = {}
+    for one in rivals:
+        by = best.apart(one)
+        if by < max(TIED, best.unsure(one)) and one.model.effects != best.model.effects:
+            ties[one.model.effects] = one.model, by
     before = null.model.left_out()
     after = best.model.left_out()
     noise = noise_of(best.model)
@@ -307,7 +320,7 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
         null=null,
         best=best,
         parts=tuple(_part(best, null, dropped, *one) for one in best.model.effects),
-        ties=tuple((tied, by) for tied, by in ties.values() if by < TIED and tied.effects != best.model.effects),
+        ties=tuple(ties.values()),
         before=before,
         after=after,
         noise=noise,

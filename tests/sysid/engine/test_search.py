@@ -11,7 +11,7 @@ from mimic.dynamics.effect_set import EffectValues, read_effects, write_effects
 from mimic.sysid.engine.data import data_of
 from mimic.sysid.engine.effects import dependences, effects_of, motion_of
 from mimic.sysid.engine.laws import ROW
-from mimic.sysid.engine.model import setting_of
+from mimic.sysid.engine.model import STEP, setting_of
 from mimic.sysid.engine.search import Hunt, Outcome, baseline, describe, fitted_baseline, search
 
 ONE_WAY = EffectValues(name="asymmetric_friction", joints=("a",), values={"level": np.array([0.02])})
@@ -62,6 +62,15 @@ def test_a_machine_that_flies_apart_does_so_for_a_block_only(pair, log_of):
     ends = np.flatnonzero(np.diff(data.block) > 0)[1:]
     assert (e[begins] < 1.0).all()
     assert (e[ends] > 100.0).all()
+
+
+def test_steps_are_short_enough_where_targets_jump_and_torques_reach_their_limits(pair, log_of):
+    model = baseline(setting_of(data_of([log_of(pair, fast=1.0)], pair)), BASELINE)
+    table = model.table.copy()
+    table[ROW["delay", "time"]] = 0.0107
+    table[ROW["torque_speed", "torque"]] = 3.0
+    coarse, fine = (replace(model, table=table).evaluated(step).e for step in (STEP, STEP / 32.0))
+    assert (np.nanmean((coarse - fine) ** 2, axis=0) < 5e-5**2).all()
 
 
 def test_what_is_named_is_confirmed_by_whole_logs_left_out(pair, log_of):
