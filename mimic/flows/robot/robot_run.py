@@ -134,6 +134,8 @@ def play_on_robot(
     live = live or LiveSettings()
     run = run or RunSettings()
     bus = bus or BusSettings()
+    if bus.tether:
+        run = replace(run, hold_position=False)  # feet that a rope relieves say nothing of the way
     operator = operator or Operator()
     reporter = reporting(reporter)
     description = load_robot(robot_on(bus_url))

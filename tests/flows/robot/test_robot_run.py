@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,14 @@ def test_ctrl_c_while_the_run_is_saved_does_not_cost_the_run(targets, tmp_path, 
     assert done.ending == "the robot was damped and all motors are off"
     assert (tmp_path / "run" / "log.parquet").is_file()
     assert not (tmp_path / "run" / "log.rows").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tether", [False, True])
+def test_on_a_rope_the_position_is_not_held(targets, tmp_path, tether):
+    flow.play_on_robot("can0", targets, run=SHORT, bus=replace(BUS, tether=tether), out=tmp_path / "run")
+    settings = store.header(tmp_path / "run" / "log.parquet")["provenance"]["settings"]["run"]
+    assert settings["hold_position"] is not tether
 
 
 @pytest.mark.slow
