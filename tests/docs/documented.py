@@ -24,7 +24,7 @@ _COMMAND = re.compile(r"(?:uv run )?(?P<command>(?:mimic|python|python3|pip|uv|t
 NOT_RUN = {
     r"^(python3 -m venv|pip install|uv )": "installs packages or runs the tests; .ci/run does that",
     r"^torchrun|^mimic train": "trains for minutes on a GPU",
-    r"^python examples/standalone_player": "tests/examples/test_standalone_player.py plays it",
+    r"^python examples/": "tests/examples runs them",
     r"--policy my_policy": "needs a policy of the reader",
     r"^mimic motion\.csv": "a format whose reader the page adds",
     r"--robot-model": "a folder that the reader writes; tests/robot plays a second robot",
