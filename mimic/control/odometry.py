@@ -52,7 +52,10 @@ class LegOdometry:
         self._legs = [all_legs(description)[leg] for leg in HIND]
         self._radius = description.toe_radius
         self._before: tuple[FloatArray, FloatArray] | None = None
-        self._velocity = np.zeros(2)
+        self._dt = description.dt
+        self._usual = np.zeros(2)
+        self.velocity = np.zeros(2)
+        """How fast the base moves, smoothed (2,), world axes [m/s]."""
 
     def step(self, q: FloatArray, quat_WB: FloatArray) -> FloatArray:
         """Return how far the base has come since the last call (2,), world axes [m].
@@ -74,8 +77,9 @@ class LegOdometry:
         rolled = self._radius * np.cross(turned, [0.0, 0.0, 1.0])
         steps = (before[0] - toes + rolled)[:, :2]
         steps[toes[:, 2] > toes[:, 2].min() + LIFTED] = np.inf
-        step = steps[int(np.argmin(np.linalg.norm(steps - self._velocity, axis=1)))]
-        self._velocity = KEPT * self._velocity + (1.0 - KEPT) * step
+        step = steps[int(np.argmin(np.linalg.norm(steps - self._usual, axis=1)))]
+        self._usual = KEPT * self._usual + (1.0 - KEPT) * step
+        self.velocity = self.velocity + (step / self._dt - self.velocity) * self._dt / SMOOTHED
         return step
 
 
@@ -91,7 +95,6 @@ class HeldPosition:
         self._dt = description.dt
         self._stands = 0.0
         self._away = np.zeros(2)
-        self._velocity = np.zeros(2)
 
     def corrected(self, command: Command, q: FloatArray, quat_WB: FloatArray) -> Command:
         """Return a command that holds the position, once the robot has been asked to stand for RESPONSE.
@@ -99,13 +102,12 @@ class HeldPosition:
         Called once each control step; arguments as those of `KeptDistance.corrected`.
         """
         step = self._odometry.step(q, quat_WB)
-        self._velocity = self._velocity + (step / self._dt - self._velocity) * self._dt / SMOOTHED
         self._stands = 0.0 if command.v.any() else self._stands + self._dt
         if self._stands < RESPONSE:
             self._away = np.zeros(2)
             return command
         self._away = self._away + step
-        lacking = -self._away - RESPONSE * self._velocity
+        lacking = -self._away - RESPONSE * self._odometry.velocity
         excess = _excess(lacking)
         self._away = self._away + excess
         along = float(_turned(lacking - excess, -command.heading)[0])
@@ -128,7 +130,6 @@ class KeptDistance:
         self._way = np.cumsum(track.v[:, :1] * ahead, axis=0) * self._dt
         self._row = 0
         self._came = np.zeros(2)
-        self._velocity = np.zeros(2)
         self._walks_there = False
 
     def corrected(self, command: Command, q: FloatArray, quat_WB: FloatArray) -> Command:
@@ -141,26 +142,27 @@ class KeptDistance:
         """
         last = len(self._way) - 1
         later = min(self._row + round(RESPONSE / self._dt), last)
-        start = command.heading - float(self._track.heading[min(self._row, last)])
-        bend = float(self._track.heading[later] - self._track.heading[min(self._row, last)])
+        heading = float(self._track.heading[min(self._row, last)])
+        start = command.heading - heading
+        bend = float(self._track.heading[later]) - heading
         self._row += 1
-        step = _turned(self._odometry.step(q, quat_WB), -start)
-        self._came = self._came + step
-        self._velocity = self._velocity + (step / self._dt - self._velocity) * self._dt / SMOOTHED
-        lacking = self._way[later] - self._came - RESPONSE * _turned(self._velocity, bend / 2.0)
+        self._came = self._came + _turned(self._odometry.step(q, quat_WB), -start)
+        velocity = self._odometry.velocity
+        lacking = self._way[later] - self._came - RESPONSE * _turned(velocity, bend / 2.0 - start)
         excess = _excess(lacking)
         self._came = self._came + excess
         turn = start - command.heading
         along, aside = (float(value) for value in _turned(lacking - excess, turn))
-        speed = float(_turned(self._velocity, turn)[0])
+        speed = float(_turned(velocity, -command.heading)[0])
         wanted = float(self._track.v[later, 0]) if self._row <= last else 0.0
-        velocity = wanted + GAIN * along
-        steered = wanted / max(abs(wanted), SLOWEST) * float(np.clip(aside / STEERED, -MOST_STEERED, MOST_STEERED))
+        asked = wanted + GAIN * along
+        steered = float(np.clip(aside / STEERED, -MOST_STEERED, MOST_STEERED))
+        steered *= wanted / max(abs(wanted), SLOWEST)
         if not wanted:
             near = REACHED if self._walks_there else CORRECTED
             self._walks_there = abs(along) > near and along * speed > -abs(along) * STANDS
-            velocity = float(np.copysign(max(abs(velocity), SLOWEST), along)) if self._walks_there else 0.0
-        limited = float(np.clip(velocity, -self._fastest, self._fastest))
+            asked = float(np.copysign(max(abs(asked), SLOWEST), along)) if self._walks_there else 0.0
+        limited = float(np.clip(asked, -self._fastest, self._fastest))
         return replace(command, v=np.array([limited, command.v[1]]), heading=command.heading + steered)
 
 
