@@ -36,6 +36,9 @@ TUMBLING = 3.0
 JOLT = 15.0
 """Free acceleration of the base over a control step [m/s^2]."""
 
+ELBOW = 0.6
+"""Free angle of a front hip backward from the lying pose [rad]; beyond it the elbow rises beside the head."""
+
 NEAR = 0.004
 """What is lower than this touches the ground [m]."""
 
@@ -124,6 +127,7 @@ class SitDownEnv(StandTrackEnv):
         self._front_before.copy_(front)
         self._clearance_before.copy_(clearance)
         off = pose_error.square().mean(-1)
+        elbows = torch.relu(pose_error[:, 1:5:3] - ELBOW)
         near = torch.exp(-((pose_error / 0.12) ** 2)).mean(-1)
         at_rest = torch.exp(-speed.square() / 0.02 - turning.square() / 0.3)
         terms = self._efforts() | {
@@ -143,6 +147,7 @@ class SitDownEnv(StandTrackEnv):
             "head_low": torch.clamp((HEAD_ROOM - head) / HEAD_ROOM, 0.0, 1.0),
             "slip": (toes.speed.clamp(max=2.0) * toes.contact).sum(-1) + front_slip.clamp(max=2.0).sum(-1),
             "beyond": beyond.square().sum(-1),
+            "elbows": elbows.square().sum(-1),
             "fail": failed.float(),
         }
         lies = (height_error.abs() < 0.03) & (pitch_error.abs() < 0.15) & (pose_error.abs().amax(-1) < 0.25)

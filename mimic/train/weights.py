@@ -37,6 +37,7 @@ SIT_DOWN = {
     "head_low": -4.0,
     "slip": -0.25,  # per m/s
     "beyond": -1.0,  # per rad^2
+    "elbows": -10.0,  # per rad^2
     "action_rate": -0.008,  # per (unit of action)^2
     "torque": -0.03,  # each as a share of its motor's largest
     "joint_velocity": -4e-4,  # per rad^2/s^2

@@ -89,6 +89,16 @@ def test_there_is_a_weight_for_each_term(env):
     assert set(terms) == set(SIT_DOWN)
 
 
+@pytest.mark.parametrize(("front", "hind", "square"), [(0.5, 2.0, 0.0), (1.0, 0.0, 2 * 0.4**2)])
+def test_thighs_of_front_legs_far_behind_the_lying_pose_cost_their_square(env, description, front, hind, square):
+    q = torch.as_tensor(description.poses["lie"], dtype=torch.float32).clone()
+    q[1:5:3] += front
+    q[7::3] += hind
+    env.worlds.qpos[:, 7:] = q
+    terms, _, _ = env._evaluate(torch.ones(SIT.worlds, dtype=torch.bool), env.worlds.lowest())
+    assert terms["elbows"] == pytest.approx(np.full(SIT.worlds, square), abs=1e-5)
+
+
 def test_states_that_are_not_there_are_reported():
     with pytest.raises(AssetError, match=r"nowhere\.npz"):
         recorded_states("nowhere.npz")
