@@ -20,6 +20,10 @@ LATE = 0.005
 LATE_SHARE = 0.1
 """… may not be more frequent than this while the robot lies: on a quiet computer none is."""
 
+MISSED_SHARE = 0.04
+"""Largest share of the motors' answers that may miss their control step while the robot lies: half of what policies are
+trained with."""
+
 START = "start"
 """The rule that the ramp applies itself."""
 
@@ -99,7 +103,8 @@ def start(run: Run) -> None:
         for _ in range(SETTLE_TICKS):
             _hold(run, ramp.settling(run.sensed.q))
     if safety.checked and run.mode == SafetyMode.RUN:
-        _refuse(run, too_busy(run.lateness()) or not_crouched(run.sensed, d))
+        busy = too_busy(run.health_so_far("late")) or too_slow(run.health_so_far("missed"))
+        _refuse(run, busy or not_crouched(run.sensed, d))
 
 
 def _hold(run: Run, command: JointCommand) -> None:
@@ -153,6 +158,22 @@ def too_busy(late: FloatArray) -> str:
         f"this computer is too busy to hold a robot up: {share:.0%} of the control steps came more than "
         f"{1e3 * LATE:g} ms late, by up to {1e3 * late.max():.0f} ms; close other programs, or run as a user with "
         "real-time priority (ulimit -r 20)"
+    )
+
+
+def too_slow(missed: FloatArray) -> str:
+    """Return that answers came too late while the robot lay, as a sentence; empty where few did.
+
+    Args:
+        missed: Control steps since the last answer of each joint (T, 12).
+    """
+    heard = missed[np.isfinite(missed)]
+    share = float(np.mean(heard > 0)) if heard.size else 0.0
+    if share <= MISSED_SHARE:
+        return ""
+    return (
+        f"{share:.0%} of the motors' answers did not come within their control step, at most {MISSED_SHARE:.0%} may; "
+        "close other programs, or look at the wiring of the bus"
     )
 
 

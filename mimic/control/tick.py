@@ -300,9 +300,9 @@ class Run:
         text = f"the log cannot be written: {reason.strerror or reason}"
         self.decide(FAILURE, SafetyMode.DAMP if lies else SafetyMode.SIT_DOWN, text)
 
-    def lateness(self) -> FloatArray:
-        """Return how late each control step so far came (T,) [s]; NaN where the plant does not say."""
-        return np.array(self._health.get("late", []), dtype=np.float64)
+    def health_so_far(self, name: str) -> FloatArray:
+        """Return a column of the HealthLog up to now, (T, ...); NaN where the plant does not say."""
+        return np.array(self._health.get(name, []), dtype=np.float64)
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the RunLog."""

@@ -13,7 +13,7 @@ from mimic.config.play import NOMINAL, Disturbance
 from mimic.control.joint_test import JointTest, Mistake
 from mimic.control.loop import run_policy
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
-from mimic.control.start import not_crouched, too_busy
+from mimic.control.start import not_crouched, too_busy, too_slow
 from mimic.control.tick import Safety
 from mimic.evaluation.episode import TIMING, play_episode
 from mimic.evaluation.policy import standing_track
@@ -167,3 +167,12 @@ def test_a_computer_that_is_late_while_the_robot_lies_is_too_busy_to_hold_it_up(
     late = np.zeros(400)
     late[::8] = 0.03
     assert "12% of the control steps came more than 5 ms late, by up to 30 ms" in too_busy(late)
+
+
+def test_a_bus_whose_answers_come_late_while_the_robot_lies_is_too_slow_to_hold_it_up():
+    missed = np.zeros((200, 12))
+    missed[::40] = 1
+    assert too_slow(missed) == ""
+    missed[::10] = 2
+    assert too_slow(missed).startswith("10% of the motors' answers did not come within their control step, at most 4%")
+    assert too_slow(np.full((200, 12), np.nan)) == ""
