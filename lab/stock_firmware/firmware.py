@@ -102,7 +102,8 @@ class Bench:
 
     def height(self) -> float:
         """Return the height of the trunk as printed last [m]."""
-        lines = [line for line in self.text().splitlines() if line.startswith("t ")]
+        whole = self.text().rpartition("\n")[0]  # the last line may be half written
+        lines = [line for line in whole.splitlines() if line.startswith("t ")]
         return float(lines[-1].split(" z ")[1].split()[0])
 
     def count(self) -> int:
