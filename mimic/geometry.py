@@ -87,13 +87,6 @@ def without_pitch_rate(omega_B: Any, pitch: Any, rate: Any, xp: Any) -> Any:
     return xp.stack([c * x + s * z, y - rate, c * z - s * x], -1)
 
 
-def forward_lean(quat_WB: Any) -> NDArray[np.float64]:
-    """Return the angle of base x from the vertical, in the plane of the heading (...,) [rad]; positive to the belly."""
-    x = rotation_from_quat(quat_WB)[..., 0]
-    heading = heading_from_quat(quat_WB)
-    return np.arctan2(x[..., 0] * np.cos(heading) + x[..., 1] * np.sin(heading), x[..., 2])
-
-
 def world_axes_in_base(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]:
     """Return the world's down (0, 0, -1) and x axis (1, 0, 0), both seen from the base.
 

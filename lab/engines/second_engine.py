@@ -29,13 +29,14 @@ from typing import Any
 import numpy as np
 
 from lab.policies.studies.calm import SETTLED
+from lab.policies.standing import standing_track
 from mimic.config.play import NOMINAL, Randomisation
 from mimic.control.plant import Plant
 from mimic.dynamics.lying import RESTS, RESTS_FOR, SINKS_WITHIN
 from mimic.dynamics.robot_model import Variation, draw_variation, load_model
 from mimic.errors import PlantError
 from mimic.evaluation.episode import OF_EPISODES, play_episode
-from mimic.evaluation.policy import TIMING, command_script, forward_speed, standing_track, stands_at_end
+from mimic.evaluation.policy import TIMING, command_script, forward_speed, stands_at_end
 from mimic.metrics import run_metrics, stand_up_time
 from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, RobotState, Tick

@@ -18,10 +18,11 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
+from lab.policies.standing import standing_track
 from mimic.config.play import NOMINAL, EffectsSettings, Randomisation
 from mimic.control.start import not_crouched
 from mimic.evaluation.episode import TIMING, Job, play_episode
-from mimic.evaluation.policy import standing_track, stands_at_end
+from mimic.evaluation.policy import stands_at_end
 from mimic.jobs.local import run_all
 from mimic.policy.runtime import cached_policy, find_policy
 from mimic.records import RobotState, RunLog

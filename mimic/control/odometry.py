@@ -27,6 +27,8 @@ REACHED = 0.005
 """It then walks until it is as near as this [m]."""
 SLOWEST = 0.1
 """Velocity with which it does so at least: slower ones the policies do not walk [m/s]."""
+STEERED_FROM = 0.1
+"""A walk that is slower than this is steered less, in proportion [m/s]."""
 RESPONSE = 1.0
 """What lies between a command and the velocity that it causes [s]."""
 SMOOTHED = 0.3
@@ -157,7 +159,7 @@ class KeptDistance:
         wanted = float(self._track.v[later, 0]) if self._row <= last else 0.0
         asked = wanted + GAIN * along
         steered = float(np.clip(aside / STEERED, -MOST_STEERED, MOST_STEERED))
-        steered *= wanted / max(abs(wanted), SLOWEST)
+        steered *= wanted / max(abs(wanted), STEERED_FROM)
         if not wanted:
             near = REACHED if self._walks_there else CORRECTED
             self._walks_there = abs(along) > near and along * speed > -abs(along) * STANDS

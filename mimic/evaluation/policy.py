@@ -99,19 +99,6 @@ def command_script(
     return CommandTrack(t=np.arange(ticks) * dt, v=v, heading=turns[row], p_BE=goal_path(goals, ticks, dt, description))
 
 
-def standing_track(policy: Policy, seconds: float) -> CommandTrack:
-    """Return commands that ask for nothing but neutral toes, for a run of this length with TIMING [s]."""
-    dt = policy.contract.dt
-    ticks = round((seconds - TIMING.stand_up - TIMING.blend) / dt)
-    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
-    return CommandTrack(
-        t=np.arange(ticks) * dt,
-        v=np.zeros((ticks, 2)),
-        heading=np.zeros(ticks),
-        p_BE=np.broadcast_to(neutral, (ticks, 2, 3)).copy(),
-    )
-
-
 def forward_speed(log: RunLog, begin: float) -> float:
     """Return the mean velocity along the heading after ``begin`` [s] in m/s; NaN for a run that was over before."""
     rows = log.t > begin
@@ -129,22 +116,13 @@ def asked_by(job: Job, description: RobotDescription) -> CommandTrack:
     return command_script(description, seconds, rng, speed=job.speed, turn=job.turn)
 
 
-def stands_at_end(result: RunResult, description: RobotDescription, *, ground: FloatArray | float = 0.0) -> bool:
-    """Return whether a robot has not fallen and stands for most of its last second.
-
-    Args:
-        result: Of the run.
-        description: The robot.
-        ground: Height of the ground under the base at each tick [m].
-    """
-    p_WB = result.log.p_WB.copy()
-    p_WB[:, 2] -= ground
-    log = replace(result.log, p_WB=p_WB)
-    last = standing(log, description)[-round(1.0 / description.dt) :]
+def stands_at_end(result: RunResult, description: RobotDescription) -> bool:
+    """Return whether a robot has not fallen and stands for most of its last second."""
+    last = standing(result.log, description)[-round(1.0 / description.dt) :]
     return bool(
         result.fell_at is None
         and last.mean() > 0.5
-        and p_WB[-1, 2] > round(0.7 * description.pose_height["upright"], 2)
+        and result.log.p_WB[-1, 2] > round(0.7 * description.pose_height["upright"], 2)
     )
 
 

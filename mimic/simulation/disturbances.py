@@ -64,12 +64,6 @@ class Disturber:
             qpos[:3] = position
             qpos[3:7] = _multiply(self.slope_quat, qpos[3:7].copy())
 
-    def ground_height(self, p_W: FloatArray) -> FloatArray:
-        """Return the height of the ground (...,) [m] under positions (..., 3)."""
-        normal = np.zeros(3)
-        mujoco.mju_rotVecQuat(normal, np.array([0.0, 0.0, 1.0]), self.slope_quat)
-        return -(p_W[..., 0] * normal[0] + p_W[..., 1] * normal[1]) / normal[2]
-
     def command_dropped(self) -> bool:
         """Return whether the command of this control step is dropped."""
         return self._disturbance.lost_share > 0 and bool(self._rng.uniform() < self._disturbance.lost_share)

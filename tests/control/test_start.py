@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lab.policies.standing import standing_track
 from mimic.config.play import NOMINAL, Disturbance
 from mimic.control.joint_test import JointTest, Mistake
 from mimic.control.loop import run_policy
@@ -16,7 +17,6 @@ from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.start import not_crouched, too_busy, too_slow
 from mimic.control.tick import Safety
 from mimic.evaluation.episode import TIMING, play_episode
-from mimic.evaluation.policy import standing_track
 from mimic.metrics import stand_up_time
 from mimic.policy.runtime import load_policy
 from mimic.records import JOINTS, PHASES, JointCommand, RobotState, Tick

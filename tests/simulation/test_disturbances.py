@@ -142,6 +142,12 @@ def test_a_robot_lies_on_a_slope_as_on_the_level(description):
     assert plant.data.qpos[:3] @ normal == pytest.approx(flat.data.qpos[2], abs=0.005)
 
 
+def ground_height(plant: SimulatedPlant, p_W: np.ndarray) -> float:
+    """Return the height of the ground under a point (3,)."""
+    normal = Rotation.from_quat(plant.disturber.slope_quat, scalar_first=True).as_matrix()[:, 2]
+    return -(p_W[0] * normal[0] + p_W[1] * normal[1]) / normal[2]
+
+
 def test_the_ground_of_a_slope_is_under_a_robot_that_rests_on_it(description):
     plant = SimulatedPlant(description, seed=4, disturbance=Disturbance(slope=5.0))
     plant.start()
@@ -150,8 +156,7 @@ def test_the_ground_of_a_slope_is_under_a_robot_that_rests_on_it(description):
     touching = [contact.pos for contact in plant.data.contact]
     assert len(touching) >= 3
     for point in touching:
-        assert plant.disturber.ground_height(point) == pytest.approx(point[2], abs=2e-3)
-    assert SimulatedPlant(description).disturber.ground_height(np.ones((7, 3))) == pytest.approx(np.zeros(7))
+        assert ground_height(plant, point) == pytest.approx(point[2], abs=2e-3)
 
 
 def test_a_slope_without_friction_carries_a_robot_down(description):
@@ -160,7 +165,7 @@ def test_a_slope_without_friction_carries_a_robot_down(description):
     begin = plant.start()
     for _ in range(50):
         state = plant.step(command(description, description.poses["lie"])).state
-    assert plant.disturber.ground_height(state.p_WB) < plant.disturber.ground_height(begin.p_WB) - 0.05
+    assert ground_height(plant, state.p_WB) < ground_height(plant, begin.p_WB) - 0.05
 
 
 def test_a_tilted_imu_shows_the_same_error_all_the_time(description):

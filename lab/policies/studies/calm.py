@@ -17,9 +17,10 @@ import numpy as np
 
 from lab.policies.studies.senses import SENSES, Senses, SensingPolicy
 from lab.policies.studies.settings import CalmSettings
+from lab.policies.standing import standing_track
 from mimic.config.play import Disturbance, Solver
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
-from mimic.evaluation.policy import standing_track, stands_at_end
+from mimic.evaluation.policy import stands_at_end
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, LEGS, SIDES, BoolArray, FloatArray, JointSamples

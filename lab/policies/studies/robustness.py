@@ -18,6 +18,7 @@ import numpy as np
 
 from lab.policies.studies.disturbance_axes import AXES, START, World, all_at_once
 from lab.policies.studies.settings import RobustnessSettings
+from lab.policies.standing import on_level_ground
 from mimic.config.play import NO_DISTURBANCE, Randomisation, Solver
 from mimic.config.training import TRAINING_RANDOMISATION
 from mimic.errors import PlantError
@@ -93,7 +94,7 @@ def _survives(job: _Job, policy: Policy) -> bool:
         result = play_episode(plant, policy, asked_by(job, description), TIMING)
     except PlantError:  # the simulation exploded
         return False
-    return stands_at_end(result, description, ground=plant.disturber.ground_height(result.log.p_WB))
+    return stands_at_end(on_level_ground(result, plant.disturber.slope_quat), description)
 
 
 def holds(shares: dict[float, float], nominal: float) -> tuple[float, float] | None:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from lab.policies.studies.settings import StandUpSettings
+from lab.policies.standing import standing_track
 from mimic.config.play import NOMINAL, Randomisation
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
-from mimic.evaluation.policy import STOOD_WITHIN, standing_track, stands_at_end
+from mimic.evaluation.policy import STOOD_WITHIN, stands_at_end
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress
 from mimic.metrics import stand_up_time

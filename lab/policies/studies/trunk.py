@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from lab.policies.studies.settings import TrunkSettings
+from lab.policies.standing import standing_track
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
-from mimic.evaluation.policy import standing_track, stands_at_end
-from mimic.geometry import forward_lean
+from mimic.evaluation.policy import stands_at_end
+from mimic.geometry import heading_from_quat, rotation_from_quat
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
 from mimic.records import FloatArray
@@ -29,6 +30,13 @@ SQUAT = 3.0
 
 LAG = 2
 """Control steps from a command to its effect."""
+
+
+def forward_lean(quat_WB: FloatArray) -> FloatArray:
+    """Return the angle of base x from the vertical, in the plane of the heading (...,) [rad]; positive to the belly."""
+    x = rotation_from_quat(quat_WB)[..., 0]
+    heading = heading_from_quat(quat_WB)
+    return np.arctan2(x[..., 0] * np.cos(heading) + x[..., 1] * np.sin(heading), x[..., 2])
 
 
 @dataclass(frozen=True, kw_only=True)
