@@ -125,6 +125,8 @@ class MemoryPlant:
     """Changes the health that each step reports."""
     sent: list[JointCommand] = field(default_factory=list)
     closed: int = 0
+    damped_after: int | None = None
+    """Commands that were sent before it was to be damped."""
 
     def start(self) -> RobotState:
         self.sent.clear()
@@ -139,6 +141,8 @@ class MemoryPlant:
         return Tick(state=self._state(clipped), sent=out, health=self.health(tick, replace(FRESH, imu_count=tick)))
 
     def damp(self) -> bool:
+        if self.damped_after is None:
+            self.damped_after = len(self.sent)
         return True
 
     def close(self) -> None:

@@ -17,10 +17,11 @@ from mimic.config.play import RunSettings
 from mimic.control.desired import HOLD, TRACK, DesiredMotion, LiveMotion, StoredMotion
 from mimic.control.odometry import HeldPosition, KeptDistance
 from mimic.control.plant import Plant, damping_command
+from mimic.control.policy_step import Pilot, observation_width
 from mimic.control.safety.safety_rules import FAILURE
 from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.start import start
-from mimic.control.tick import Run, Safety, Sink, observation_width
+from mimic.control.tick import Run, Safety, Sink
 from mimic.errors import ContractError, PlantError, SenderError
 from mimic.geometry import heading_from_quat
 from mimic.io.store import plain
@@ -132,8 +133,8 @@ def run_policy(
         "events": plain(events),
     }
     return RunResult(
-        log=RunLog(**run.columns(), metadata=metadata),
-        health=HealthLog(**run.health_columns()),
+        log=RunLog(**run.journal.columns(), metadata=metadata),
+        health=HealthLog(**run.journal.health_columns()),
         events=events,
         samples=_joined(run.samples),
         fell_at=fell_at,
@@ -180,14 +181,15 @@ def _play(
 ) -> Exception | None:
     """Ramp, follow, sit down and damp; return what failed, after damping the robot."""
     safety = run.safety
+    pilot = Pilot(run)
     try:
         run.begin()
         if safety.ramp > 0.0:
             start(run)
         if run.mode == SafetyMode.RUN:
-            _follow(run, policy, motion, position)
+            _follow(pilot, policy, motion, position)
         if run.mode <= SafetyMode.SIT_DOWN and sit_down is not None:
-            _sit_down(run, sit_down, sit_ticks)
+            _sit_down(pilot, sit_down, sit_ticks)
         if run.mode < SafetyMode.DAMP:
             run.decide("finished", SafetyMode.DAMP if safety.damp_at_end else SafetyMode.STOPPED, "the run is over")
         _damp(run)
@@ -206,8 +208,9 @@ def _play(
     return None
 
 
-def _follow(run: Run, policy: Policy, motion: DesiredMotion, position: HeldPosition | KeptDistance | None) -> None:
+def _follow(pilot: Pilot, policy: Policy, motion: DesiredMotion, position: HeldPosition | KeptDistance | None) -> None:
     """Stand up, blend, track and hold, until the motion is over or the supervisor ends it."""
+    run = pilot.run
     builder = ObservationBuilder(policy.contract)
     heading0 = float(heading_from_quat(run.sensed.quat_WB))
     for tick in count():
@@ -218,18 +221,19 @@ def _follow(run: Run, policy: Policy, motion: DesiredMotion, position: HeldPosit
         command = replace(asked, heading=heading0 + asked.heading)
         if position is not None and desired.phase in (TRACK, HOLD):
             command = position.corrected(command, run.sensed.q, run.sensed.quat_WB)
-        run.tick(policy, builder, desired.phase, command, desired.arms)
+        pilot.tick(policy, builder, desired.phase, command, desired.arms)
         if run.mode > SafetyMode.RUN:
             return
 
 
-def _sit_down(run: Run, policy: Policy, ticks: int) -> None:
+def _sit_down(pilot: Pilot, policy: Policy, ticks: int) -> None:
     """Let a policy bring the robot from its newest state down to lying."""
+    run = pilot.run
     builder = ObservationBuilder(policy.contract)
     heading = float(heading_from_quat(run.sensed.quat_WB))
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
     for _ in range(ticks):
-        run.tick(policy, builder, SIT_DOWN, Command(v=np.zeros(2), heading=heading, p_BE=neutral))
+        pilot.tick(policy, builder, SIT_DOWN, Command(v=np.zeros(2), heading=heading, p_BE=neutral))
         if run.mode > SafetyMode.SIT_DOWN:
             return
 

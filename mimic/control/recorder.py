@@ -10,8 +10,8 @@ import json
 import os
 import queue
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from itertools import groupby
 from operator import itemgetter
@@ -24,7 +24,7 @@ from mimic.control.priority import RECORDER, real_time
 from mimic.control.row_file import RowFile, read_rows
 from mimic.control.safety.supervisor import Event
 from mimic.io.store import plain
-from mimic.records import AXES, Health, HealthLog, Record, RunLog
+from mimic.records import AXES, FloatArray, Health, HealthLog, Record, RunLog
 
 ROWS = "log.rows"
 """File of rows in a run folder, removed once log.parquet exists."""
@@ -167,6 +167,62 @@ class RunRecorder:
             (self._folder / EVENTS).unlink(missing_ok=True)
             if not any(self._folder.iterdir()):
                 self._folder.rmdir()
+
+
+class Journal:
+    """The log of a run in memory, and on disk as long as that works."""
+
+    def __init__(self, disk: RunRecorder | None) -> None:
+        self._disk = disk
+        self._rows: dict[str, list[Any]] = {}
+        self._health: dict[str, list[Any]] = {}
+        self._noted = 0
+
+    def add(self, row: Mapping[str, Any], health: Mapping[str, Any]) -> None:
+        """Append a tick.
+
+        Raises:
+            OSError: If the disk fails; from then on all is in memory only.
+        """
+        for columns, values in ((self._rows, row), (self._health, health)):
+            for name, value in values.items():
+                columns.setdefault(name, []).append(value)
+        if self._disk is not None:
+            with self._left_where_it_fails():
+                self._disk.row(row, health)
+
+    def note(self, events: Sequence[Event]) -> None:
+        """Append those of all events that are new.
+
+        Raises:
+            OSError: As for `add`.
+        """
+        new = events[self._noted :]
+        self._noted = len(events)
+        if self._disk is not None:
+            with self._left_where_it_fails():
+                for event in new:
+                    self._disk.event(event)
+
+    @contextmanager
+    def _left_where_it_fails(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:
+            self._disk = None
+            raise
+
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of the RunLog."""
+        return {name: np.array(values) for name, values in self._rows.items()}
+
+    def health_columns(self) -> dict[str, Any]:
+        """Return the columns of the HealthLog."""
+        return {name: np.array(values) for name, values in self._health.items()}
+
+    def health_so_far(self, name: str) -> FloatArray:
+        """Return a column of the HealthLog up to now, (T, ...); NaN where the plant does not say."""
+        return np.array(self._health.get(name, []), dtype=np.float64)
 
 
 def _line(event: Event) -> bytes:

@@ -103,7 +103,7 @@ def start(run: Run) -> None:
         for _ in range(SETTLE_TICKS):
             _hold(run, ramp.settling(run.sensed.q))
     if safety.checked and run.mode == SafetyMode.RUN:
-        busy = too_busy(run.health_so_far("late")) or too_slow(run.health_so_far("missed"))
+        busy = too_busy(run.journal.health_so_far("late")) or too_slow(run.journal.health_so_far("missed"))
         _refuse(run, busy or not_crouched(run.sensed, d))
 
 

@@ -17,9 +17,10 @@ except ImportError:
 
 from mimic.config.play import DEFAULT_ROBOT, NOMINAL, Randomisation
 from mimic.control.desired import LiveMotion, StoredMotion
+from mimic.control.policy_step import Asked, Pilot
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.start import start
-from mimic.control.tick import Asked, Run
+from mimic.control.tick import Run
 from mimic.errors import ConfigError, PlantError
 from mimic.evaluation.episode import OF_EPISODES, TIMING, TRACKING_RULES, of_episode
 from mimic.evaluation.paper_reward import TRACKING_WEIGHTS, tracking
@@ -103,6 +104,7 @@ class Env(gymnasium.Env[Observation, Observation]):
         supervisor = Supervisor(self.description, rules=TRACKING_RULES)
         self._run = Run(self.plant, self.contract.observation_size, None, None, of_episode(supervisor))
         self._run.begin()
+        self._pilot = Pilot(self._run)
         start(self._run)
         self._builder = ObservationBuilder(self.contract)
         self._heading = float(heading_from_quat(self._run.sensed.quat_WB))
@@ -120,7 +122,7 @@ class Env(gymnasium.Env[Observation, Observation]):
         if not np.isfinite(action).all():
             raise PlantError(f"the action holds numbers that are not finite: {action}")
         asked = self._asked
-        self._run.act(asked, self.contract, self._builder, np.asarray(action, dtype=np.float64))
+        self._pilot.act(asked, self.contract, self._builder, np.asarray(action, dtype=np.float64))
         reward = self._reward(asked.command)
         terminated = self._run.mode > SafetyMode.RUN
         self._ask()
@@ -144,7 +146,7 @@ class Env(gymnasium.Env[Observation, Observation]):
             return
         goal = desired.command
         command = Command(v=goal.v, heading=self._heading + goal.heading, p_BE=goal.p_BE)
-        asked = self._run.ask(self._builder, desired.phase, command, desired.arms)
+        asked = self._pilot.ask(self._builder, desired.phase, command, desired.arms)
         if asked is None:
             raise ConfigError(f"the commands ask for what is not finite: {goal}")
         self._asked = asked

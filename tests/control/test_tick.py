@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from mimic.control.desired import clamp_desired
-from mimic.control.tick import clamp_command
+from mimic.control.plant import damping_command
+from mimic.control.safety.supervisor import SafetyMode
+from mimic.control.signals import Signals
+from mimic.control.tick import Run, clamp_command
 from mimic.records import JointCommand
 from mimic.robot.goals import draw_goals
 from mimic.robot.leg_kinematics import front_legs
@@ -64,3 +67,26 @@ def test_what_is_outside_is_clamped_and_counted(name, value, expected, descripti
     assert moved == 1
     assert getattr(kept, name)[5] == limit
     assert np.array_equal(np.delete(getattr(kept, name), 5), np.delete(getattr(base, name), 5))
+
+
+def test_what_a_rule_decides_reaches_the_plant_before_anybody_sees_the_tick(memory_plant, forgiving, description):
+    signals = Signals()
+    plant = memory_plant()
+    seen = []
+    run = Run(plant, 1, lambda tick: seen.append(plant.damped_after), None, forgiving(signals=signals))
+    run.begin()
+    still = damping_command(description.poses["lie"], 1.0)
+    run.hold(still, 0)
+    signals.terminated = True
+    run.hold(still, 0)
+    assert seen == [None, 2]
+
+
+def test_what_the_loop_decides_reaches_the_plant_at_once(memory_plant, forgiving):
+    plant = memory_plant()
+    run = Run(plant, 1, None, None, forgiving())
+    run.begin()
+    run.decide("test", SafetyMode.SIT_DOWN, "it sits down")
+    assert plant.damped_after is None
+    run.decide("test", SafetyMode.DAMP, "it is damped")
+    assert plant.damped_after == 0

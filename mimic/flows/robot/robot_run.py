@@ -120,11 +120,12 @@ def play_on_robot(
         BusError: If a bus cannot be opened.
         SourceError, AssetError, ConfigError, ContractError: If something cannot be used, or the run cannot be saved.
     """
+    from mimic.control.policy_step import observation_width
     from mimic.control.recorder import RunRecorder
     from mimic.control.safety.supervisor import Supervisor
     from mimic.control.signals import Signals
     from mimic.control.start import start_seconds
-    from mimic.control.tick import Safety, observation_width
+    from mimic.control.tick import Safety
     from mimic.hardware.can.step_budget import PARTS
     from mimic.hardware.hold_to_run import hold_to_run
     from mimic.hardware.session import robot_session
