@@ -27,12 +27,6 @@ trained with."""
 START = "start"
 """The rule that the ramp applies itself."""
 
-START_FINDS = (
-    "a joint 7° (Go2 8°) from the crouch after the ramp, base too low, tilt of 6°; "
-    "wrong sign, swapped motors or legs, turned IMU"
-)
-"""What it finds, in words."""
-
 TRIM_RATE = 0.15
 """Share of its distance by which a joint's target moves on in each control step."""
 MOST_TRIM = 0.2

@@ -80,7 +80,7 @@ about to fall, one whose readings contradict each other (which noise and a tilte
 motors are hot. An evaluation asks how far a policy gets in spite of that.
 """
 
-SIT_DOWN_RULES = (replace(TIPPING, outcome="sit down", check=_sits_down, reads_history=False),)
+SIT_DOWN_RULES = (replace(TIPPING, check=_sits_down, reads_history=False),)
 """Rules of an episode that ends by sitting down: a robot that is about to fall sits down at once, instead of being
 damped, so that the policy that sits down is seen in that case too."""
 

@@ -19,8 +19,6 @@ BOARD_LATE = 0x01
 BOARD_TIMED_OUT = 0x02
 """Bit of the same: commands are ignored."""
 
-_SIT = "sit down*"
-
 
 @dataclass(frozen=True, kw_only=True)
 class Alert:
@@ -44,12 +42,6 @@ class Rule:
     """A row of the table in docs/manual/robot.md."""
 
     name: str
-    limit: Callable[[Limits], str]
-    """Says the limit in words."""
-    within: str
-    """How soon it is detected."""
-    outcome: str
-    """What follows, in words."""
     check: Check
     reads_history: bool = True
     """Whether it looks at more than the newest report."""
@@ -59,14 +51,10 @@ RULES: list[Rule] = []
 """Every rule that checks readings, in the order in which they are checked."""
 
 
-def _rule(limit: Callable[[Limits], str], within: str, outcome: str) -> Callable[[Check], Check]:
+def _rule(check: Check) -> Check:
     """Add a rule of this function's name to RULES."""
-
-    def add(check: Check) -> Check:
-        RULES.append(Rule(name=check.__name__, limit=limit, within=within, outcome=outcome, check=check))
-        return check
-
-    return add
+    RULES.append(Rule(name=check.__name__, check=check))
+    return check
 
 
 def degrees(cosine: float) -> int:
@@ -78,11 +66,7 @@ def _failed(joint: int, text: str) -> Alert:
     return Alert(outcome="SIT_DOWN", text=text, about=JOINTS[joint])
 
 
-@_rule(
-    lambda L: "Ctrl-C, the terminal is closed, or `--hold` is released; Ctrl-C again, or SIGTERM",
-    "1 tick; a key 0.3 s",
-    "sit down; damp",
-)
+@_rule
 def asked_to_end(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Ctrl-C once and again, SIGTERM, and what must be held and was let go."""
     if report.terminated:
@@ -96,11 +80,7 @@ def asked_to_end(report: StepReport, history: StepHistory, limits: Limits) -> It
         yield Alert(outcome="SIT_DOWN", text="the key or button was let go (--hold)", needs_upright=False)
 
 
-@_rule(
-    lambda L: f"{L.silent_ticks} ticks without an answer",
-    "100 ms",
-    _SIT,
-)
+@_rule
 def motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Motors that do not answer."""
     health = report.health
@@ -115,11 +95,7 @@ def motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> It
         yield _failed(int(joint), f"motor {JOINTS[joint]} has not answered for {missed} ticks ({age:.2f} s)")
 
 
-@_rule(
-    lambda L: "any fault bit, two motors with one id, or not in run mode",
-    "1 tick",
-    _SIT,
-)
+@_rule
 def motor_failed(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Motors that report a fault, or switched themselves off."""
     health = report.health
@@ -138,14 +114,7 @@ def motor_failed(report: StepReport, history: StepHistory, limits: Limits) -> It
         yield _failed(int(joint), f"motor {JOINTS[joint]} switched itself off, so its zero may be lost")
 
 
-@_rule(
-    lambda L: (
-        f"a motor at {L.temperature_warning:g} °C, or a winding at {L.rise_warning:.0%} of its limit by the "
-        f"thermal model; {L.temperature:g} °C, {L.rise:.0%}"
-    ),
-    "1 tick",
-    f"announce; {_SIT}",
-)
+@_rule
 def too_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Motors and windings that are warm, and too warm."""
     temperature = report.health.temperature
@@ -162,11 +131,7 @@ def too_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
         yield Alert(outcome=outcome, text=text, about=f"winding {JOINTS[joint]}")
 
 
-@_rule(
-    lambda L: f"answers take {1e3 * L.slow_answers:g} ms for half a second; {1e3 * L.slowest_answers:g} ms",
-    "0.5 s",
-    "announce; sit down",
-)
+@_rule
 def answers_slow(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Answers that take long, though none is missing."""
     text = f"answers of the motors take {1e3 * history.round_trip:.0f} ms"
@@ -176,11 +141,7 @@ def answers_slow(report: StepReport, history: StepHistory, limits: Limits) -> It
         yield Alert(outcome="RUN", text=f"{text}; it sits down at {1e3 * limits.slowest_answers:g} ms")
 
 
-@_rule(
-    lambda L: f"supply below {L.low_voltage:g} V; {L.lowest_voltage:g} V",
-    "5 s",
-    "announce; sit down",
-)
+@_rule
 def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """A supply that runs down."""
     text = f"the supply is at {history.voltage:.1f} V"
@@ -190,14 +151,7 @@ def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Ite
         yield Alert(outcome="RUN", text=f"{text}; it sits down at {limits.lowest_voltage:g} V")
 
 
-@_rule(
-    lambda L: (
-        f"{L.outside:g} rad beyond a joint limit, {L.jump:g} rad in one tick, faster than {L.overspeed:g} rad/s in "
-        f"2 ticks, or {L.frozen_ticks} equal readings while a policy moves the target by {L.frozen_targets:g} rad"
-    ),
-    "1 tick to 320 ms",
-    _SIT,
-)
+@_rule
 def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Readings that no joint can have, that turn too fast, or that do not change although the targets do."""
     description = history.description
@@ -221,11 +175,7 @@ def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -
         yield _failed(joint, text)
 
 
-@_rule(
-    lambda L: f"more than {L.off_target:g} rad from the target for 0.5 s",
-    "0.5 s",
-    _SIT,
-)
+@_rule
 def off_target(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Joints that do not get to their targets."""
     away = np.flatnonzero(history.off_target >= limits.off_target_ticks) if history.moves else ()
@@ -235,14 +185,7 @@ def off_target(report: StepReport, history: StepHistory, limits: Limits) -> Iter
         yield _failed(int(joint), text)
 
 
-@_rule(
-    lambda L: (
-        f"older than {1e3 * L.imu_age:g} ms, or not valid by its status; while a policy moves the robot also "
-        f"{L.imu_repeats + 1} equal readings, or nothing new for {1e3 * L.imu_age:g} ms"
-    ),
-    "120 ms",
-    "damp",
-)
+@_rule
 def imu_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """An IMU that sends nothing, nothing new, or nothing valid."""
     health = report.health
@@ -258,16 +201,7 @@ def imu_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iter
         yield Alert(outcome="DAMP", text=f"nothing that the IMU sends has changed for {health.imu_unchanged:.2f} s")
 
 
-@_rule(
-    lambda L: (
-        f"heading, or tilt, and rate of turn differ by {L.turn_mismatch:g} rad in a tick; tilt {L.doubt_ticks} "
-        f"times in a row, or for {L.legs_ticks} ticks hind toes {100 * L.toes_apart:g} cm apart in height while "
-        f"standing, {100 * L.toes_apart_moving:g} cm while getting up or down, or front toes less than "
-        f"{100 * L.front_above:g} cm above them while standing"
-    ),
-    "60 ms",
-    "jump removed, or reading ignored; damp",
-)
+@_rule
 def imu_contradiction(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Orientations that do not turn as the rate of turn says, or that the legs contradict."""
     text = f"orientation and rate of turn of the IMU disagree by {history.turn_mismatch:.2f} rad"
@@ -301,14 +235,7 @@ def fallen(report: StepReport, history: StepHistory, limits: Limits) -> Iterator
         yield Alert(outcome="STOPPED", text="the robot has fallen")
 
 
-@_rule(
-    lambda L: (
-        f"cosine to upright below {L.upright:g} ({degrees(L.upright)} deg) while standing; sine of the roll above "
-        f"{L.side_tilt:g}, or base z below {L.backward:g}, while getting up or down"
-    ),
-    "1 tick",
-    "damp",
-)
+@_rule
 def falling(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """A robot that tips over while it stands, or rolls over while it gets up or down."""
     if not history.moves:
@@ -323,15 +250,7 @@ def falling(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
             yield Alert(outcome="DAMP", text="the robot is falling onto its back")
 
 
-@_rule(
-    lambda L: (
-        f"one of {1e3 * L.overrun:g} ms, or {L.small_overruns_logged} in a row of {1e3 * L.small_overrun:g} "
-        f"ms; {L.overrun_ticks} in a row of {1e3 * L.overrun:g} ms, {L.small_overrun_ticks} in a row of "
-        f"{1e3 * L.small_overrun:g} ms, or one of {1e3 * L.longest_overrun:g} ms"
-    ),
-    "1 tick",
-    "log; damp",
-)
+@_rule
 def step_late(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Control steps that end late."""
     overrun = report.health.late
@@ -348,14 +267,7 @@ def step_late(report: StepReport, history: StepHistory, limits: Limits) -> Itera
         yield Alert(outcome="RUN", text=f"{small} ticks in a row overran, the last one by {milliseconds:.1f} ms")
 
 
-@_rule(
-    lambda L: (
-        f"any, or the stock robot's firmware reports a command later than 10 ms (0x01); {L.bus_errors} within "
-        "0.1 s, or it reports none for 500 ms (0x02)"
-    ),
-    "0.1 s",
-    "log; damp",
-)
+@_rule
 def bus_errors(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Frames that make no sense, buses that fail, and commands that a motion board misses."""
     if report.health.err_flag & BOARD_TIMED_OUT:
@@ -369,11 +281,7 @@ def bus_errors(report: StepReport, history: StepHistory, limits: Limits) -> Iter
         yield Alert(outcome="RUN", text=f"the bus had {history.new_errors} errors")
 
 
-@_rule(
-    lambda L: f"silent for {L.sender_age:g} s; for 0.2 s, has ended, or has damped the robot",
-    "1 tick",
-    "sit down; damp",
-)
+@_rule
 def sender(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """A process that sends to the robot, and has said nothing for a while."""
     silent = report.health.sender_age
@@ -382,11 +290,7 @@ def sender(report: StepReport, history: StepHistory, limits: Limits) -> Iterator
         yield Alert(outcome="SIT_DOWN", text=text, needs_upright=False)
 
 
-@_rule(
-    lambda L: f"a command of another program, or an answer to one; {L.foreign_storm} within 0.1 s",
-    "1 tick",
-    "sit down; damp",
-)
+@_rule
 def other_program(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Commands of another program."""
     if history.new_foreign >= limits.foreign_storm:
@@ -402,20 +306,11 @@ SUSPENDED_RULES = tuple(rule for rule in RULES if rule.check not in (imu_silent,
 FAILURE = "failure"
 """The rule that the control loop applies itself."""
 
-FAILURES = "a target or an answer is not a number, or any exception; the log cannot be written, as on a full disk"
-"""What it finds, in words."""
-
-FAILURE_OUTCOMES = "damp; sit down, the rows stay in memory"
-"""What follows from that, in words."""
-
-TIPPING = Rule(name="falling", limit=lambda L: "", within="1 tick", outcome="damp", check=tipping)
+TIPPING = Rule(name="falling", check=tipping)
 """Of a robot that stands; for episodes in simulation."""
 
 FALLEN = Rule(
     name="fallen",
-    limit=lambda L: f"cosine of base x to up below {L.fallen:g} while standing",
-    within="1 tick",
-    outcome="stop",
     check=fallen,
     reads_history=False,
 )

@@ -484,15 +484,11 @@ def test_a_damped_robot_that_never_rests_or_is_never_heard_is_stopped_in_time(dq
     assert supervisor.mode == SafetyMode.STOPPED
 
 
-def test_every_decision_is_a_sentence_and_every_rule_has_a_row():
+def test_every_rule_has_a_name_of_its_own():
     names = [rule.name for rule in RULES]
     assert len(set(names)) == len(names)
     assert FAILURE not in names
     assert len(names) <= 15
-    for rule in RULES:
-        assert rule.limit(LIMITS)
-        assert rule.within
-        assert rule.outcome
 
 
 @pytest.mark.parametrize("name", sorted(set(LIMITS.__dataclass_fields__)))
