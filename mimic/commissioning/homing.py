@@ -17,6 +17,7 @@ import numpy as np
 from mimic.dynamics.lying import sunk_pose
 from mimic.errors import PlantError
 from mimic.hardware.can.zeros import LYING_TOLERANCE, Homing
+from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import Register
 from mimic.hardware.robot.checks import beyond_limits
@@ -51,7 +52,7 @@ def home(motor_bus: MotorBus, description: RobotDescription, before: Homing | No
     """
     uid = _answering(motor_bus)
     turned = motor_bus.wiring.sign * np.array([f.q for f in motor_bus.feedback if f is not None])
-    mark = motor_bus.read(Register.POWER_UP_MARK)
+    mark = registers.read(motor_bus, Register.POWER_UP_MARK)
     marked_here = np.zeros(len(JOINTS), dtype=bool)
     phase = np.full(len(JOINTS), np.nan)
     kept = np.full(len(JOINTS), np.nan)
@@ -67,7 +68,7 @@ def home(motor_bus: MotorBus, description: RobotDescription, before: Homing | No
     phase = np.where(fresh & np.isnan(phase), q - turned, phase)
     new_mark = _next_mark(before)
     _set_zeros(motor_bus)
-    motor_bus.set(Register.POWER_UP_MARK, new_mark)
+    registers.set_register(motor_bus, Register.POWER_UP_MARK, new_mark)
     return Homing(uid=tuple(uid[j] for j in range(len(JOINTS))), mark=new_mark, offset=q, phase=phase), q
 
 
@@ -77,8 +78,8 @@ def _answering(motor_bus: MotorBus) -> dict[int, int]:
     Raises:
         PlantError: If one does not answer.
     """
-    uid = motor_bus.uids()
-    silent = motor_bus.stop()
+    uid = registers.read_uids(motor_bus)
+    silent = registers.stop(motor_bus)
     lacking = [joint for j, joint in enumerate(JOINTS) if j in silent or j not in uid]
     if lacking:
         raise PlantError(f"no answer from {', '.join(lacking)}; is the power on? Run: mimic robot scan")
@@ -112,7 +113,7 @@ def _set_zeros(motor_bus: MotorBus) -> None:
     Raises:
         PlantError: If one reads something else then.
     """
-    motor_bus.set_zero()
+    registers.set_zero(motor_bus)
     left = np.array([np.nan if f is None else f.q for f in motor_bus.feedback])
     wrong = np.flatnonzero(~(np.abs(left) < ZERO_TOLERANCE))
     if len(wrong):

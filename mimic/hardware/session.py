@@ -15,10 +15,10 @@ from mimic.config.ranges import check_range
 from mimic.control.priority import LOOP, real_time
 from mimic.errors import ConfigError, PlantError
 from mimic.hardware.bus_lock import bus_lock
-from mimic.hardware.can.driver import homing_file, open_buses
 from mimic.hardware.can.frame import Link
+from mimic.hardware.can.open_driver import open_buses
 from mimic.hardware.can.wiring import Wiring, load_wiring
-from mimic.hardware.can.zeros import Homing, read_homing, with_homing
+from mimic.hardware.can.zeros import Homing, homing_file, read_homing, with_homing
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.robot.board_wiring import BOARDS
 from mimic.hardware.robot.checks import Check, before_moving, refuse

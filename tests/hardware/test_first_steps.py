@@ -20,7 +20,7 @@ from mimic.emulator.sender_link import EmulatedSenderLink, robot_on_can
 from mimic.errors import ConfigError, PlantError
 from mimic.evaluation.policy import command_script
 from mimic.hardware import session
-from mimic.hardware.can import driver
+from mimic.hardware.can import open_driver
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.cybergear.parameters import LIMIT_TORQUE
 from mimic.hardware.motors.interface import MotorMode
@@ -34,10 +34,10 @@ SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
 def robot(description, monkeypatch, tmp_path) -> EmulatedRobot:
     """An emulated robot behind every word for a bus."""
     robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True, placement=0.02))
-    monkeypatch.setattr(driver, "open_buses", lambda bus_url, wiring, **quick: EmulatedLink(robot))
+    monkeypatch.setattr(open_driver, "open_buses", lambda bus_url, wiring, **quick: EmulatedLink(robot))
 
     def process(settings, description, *, keep=()):
-        return EmulatedSenderLink(driver.open_can_driver(settings), description)
+        return EmulatedSenderLink(open_driver.open_can_driver(settings), description)
 
     monkeypatch.setattr(session, "SenderProcess", process)
     monkeypatch.setenv("TMPDIR", str(tmp_path))

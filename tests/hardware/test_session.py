@@ -16,7 +16,7 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, PlantError
 from mimic.hardware import session
-from mimic.hardware.can import driver
+from mimic.hardware.can import open_driver
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.interface import MotorMode
 from mimic.hardware.robot.plant import Robot
@@ -33,9 +33,9 @@ def robot(description, monkeypatch, tmp_path) -> EmulatedRobot:
         return link
 
     def process(settings, description, *, keep=()):
-        return EmulatedSenderLink(driver.open_can_driver(settings), description)
+        return EmulatedSenderLink(open_driver.open_can_driver(settings), description)
 
-    for module in (session, driver):
+    for module in (session, open_driver):
         monkeypatch.setattr(module, "open_buses", opened)
     monkeypatch.setattr(session, "SenderProcess", process)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
@@ -103,7 +103,7 @@ def test_what_happens_while_the_person_is_asked_is_found_before_anything_moves(
     settings = BusSettings(yes=True)
     with session.open_session("can0", settings, zeros=True) as opened:
         homing, _ = home(opened.motor_bus(), description, None)
-        homing.save(driver.homing_file(opened.wiring))
+        homing.save(open_driver.homing_file(opened.wiring))
 
     def go() -> None:
         robot.inject(parse_fault(f"{fault}@{robot.now + 0.01}"))

@@ -84,10 +84,9 @@ def zero_robot(
     """
     _only_on_can(bus_url, "zero", "it keeps its zeros itself; to look at its joints: mimic robot check")
     from mimic.commissioning.homing import home
-    from mimic.hardware.can.driver import homing_file
     from mimic.hardware.can.other_programs import look_first
     from mimic.hardware.can.preflight import at_rest
-    from mimic.hardware.can.zeros import uneven
+    from mimic.hardware.can.zeros import homing_file, uneven
     from mimic.hardware.robot.checks import refuse
     from mimic.hardware.session import open_session
 

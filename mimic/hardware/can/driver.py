@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mimic.control.plant import damping_command
-from mimic.errors import BusError, PlantError
+from mimic.errors import BusError
 from mimic.hardware.can.frame import Link
-from mimic.hardware.can.preflight import preflight, set_host_timeout
-from mimic.hardware.can.step_budget import PARTS, step_budget
-from mimic.hardware.can.wiring import Wiring, load_wiring
-from mimic.hardware.can.zeros import Homing, read_homing, with_homing
+from mimic.hardware.can.preflight import checked
+from mimic.hardware.can.step_budget import PARTS
+from mimic.hardware.can.switch_on import need_all_off, set_up, switch_on
+from mimic.hardware.can.wiring import Wiring
+from mimic.hardware.can.zeros import Homing
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import MotorMode, Register
 from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings, no_report
+from mimic.hardware.robot.driver import ALL, CheckOptions, no_report
 from mimic.records import JOINTS, FloatArray, IntArray, JointCommand
-from mimic.robot.description import RobotDescription, load_description
+from mimic.robot.description import RobotDescription
 
 ASK_EVERY = 0.1
 """Time between two questions for a supply voltage, whose answers also show how long answers take [s]."""
@@ -34,17 +32,11 @@ REFUSES = 0.05
 DEAD = 0.3
 """… and one that has said nothing for so long, as when an adapter was taken out while frames go into a buffer [s]."""
 
-OPEN_EVERY = 0.2
-"""Time between two attempts to open the buses at first [s]."""
-
 STOP_FOR = 1.0
 """Stops are sent until every motor confirms, for this long at most [s]: a busy computer reads late."""
 
 _LOOK = 0.002
 """How often to look for orders while a bus fails [s]."""
-
-OPEN_TRIES = 3
-"""How many attempts to open the buses are made at first: a busy server may miss the time for its greeting."""
 
 
 class CanDriver:
@@ -125,23 +117,7 @@ class CanDriver:
 
     def checks(self, options: CheckOptions) -> list[Check]:
         """Check a robot whose motors are off; nothing moves."""
-        motor_bus = self.motor_bus
-        dt = self._description.dt
-        rate_hz = np.asarray(options.rate_hz, dtype=float)
-        parts = round(float(rate_hz.max()) * dt)
-        budget = None
-        if options.inference is not None:
-            budget = step_budget(motor_bus.wiring, dt, parts, options.inference)
-        motor_bus.drain()  # what came while a person was asked
-        return preflight(
-            motor_bus,
-            self._description,
-            rate_hz=rate_hz,
-            homing=self._homing,
-            trust_zeros=self._zeroed,
-            suspended=options.suspended,
-            budget=budget,
-        )
+        return checked(self.motor_bus, self._description, options, homing=self._homing, trust_zeros=self._zeroed)
 
     # ------------------------------------------------------------------ driving
 
@@ -152,24 +128,11 @@ class CanDriver:
             PlantError: If a motor does not answer, or does not accept its settings.
             BusError: If a bus fails.
         """
-        motor_bus = self.motor_bus
-        self._need(motor_bus.stop())
+        need_all_off(self.motor_bus)
         if not self._dry:
-            if Register.CONTROL_MODE in motor_bus.motors.facts.registers:  # only a motor that is off may change it
-                motor_bus.set(Register.CONTROL_MODE, motor_bus.motors.facts.impedance_mode)
-            motor_bus.set(Register.TORQUE_LIMIT, self._torque_limit)
-            set_host_timeout(motor_bus)
+            set_up(self.motor_bus, self._torque_limit)
             self._on = True
-            self._need(motor_bus.enable())
-            newest = motor_bus.feedback
-            off = [JOINTS[j] for j, f in enumerate(newest) if f is not None and f.mode != MotorMode.RUNNING]
-            if off:
-                raise PlantError(f"{', '.join(off)} did not switch on; to see why, run: mimic robot check")
-
-    def _need(self, silent: list[int]) -> None:
-        if silent:
-            names = ", ".join(JOINTS[j] for j in silent)
-            raise PlantError(f"no answer from {names}; is the power on? Run: mimic robot scan")
+            switch_on(self.motor_bus)
 
     def abandon(self) -> str:
         """Return that nothing was switched on, where that is so."""
@@ -326,47 +289,3 @@ class CanDriver:
     def close(self) -> None:
         """Let go of the buses."""
         self.motor_bus.link.close()
-
-
-def homing_file(wiring: Wiring) -> Path:
-    """Return the file with the zeros of a robot: one for each wiring file."""
-    base = os.environ.get("XDG_STATE_HOME")
-    folder = (Path(base) if base else Path.home() / ".local" / "state") / "mimic"
-    return folder / f"zeros-{wiring.path.parent.name}-{wiring.path.stem}.json"
-
-
-def open_buses(bus_url: str, wiring: Wiring, *, quick: bool = False) -> Link:
-    """Open the buses of a robot.
-
-    Args:
-        bus_url: See `mimic.hardware.can.opening`.
-        wiring: For the bit rate.
-        quick: One attempt, and no time for an adapter to start up.
-
-    Raises:
-        ConfigError, BusError: If that is not possible.
-    """
-    from mimic.hardware.can.opening import open_link
-
-    for _ in range(0 if quick else OPEN_TRIES - 1):
-        try:
-            return open_link(bus_url, bitrate=wiring.bitrate)
-        except BusError:
-            time.sleep(OPEN_EVERY)
-    return open_link(bus_url, bitrate=wiring.bitrate, quick=quick)
-
-
-def open_can_driver(settings: DriverSettings, *, quick: bool = False) -> CanDriver:
-    """Open the driver of a robot on CAN; see `mimic.hardware.robot.process.open_driver`."""
-    path = None if settings.wiring is None else Path(settings.wiring)
-    wiring = load_wiring(path, buses=len(settings.bus_url.split(",")))
-    homing = None if settings.zeroed else read_homing(homing_file(wiring))
-    return CanDriver(
-        open_buses(settings.bus_url, wiring, quick=quick),
-        wiring if homing is None else with_homing(wiring, homing),
-        load_description(settings.robot),
-        torque_limit=settings.torque_limit,
-        homing=homing,
-        zeroed=settings.zeroed,
-        dry_run=settings.dry_run,
-    )

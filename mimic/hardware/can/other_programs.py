@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mimic.errors import PlantError
+from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import ALL, MotorBus
 from mimic.hardware.motors.interface import Register
 from mimic.records import JOINTS
@@ -36,7 +37,7 @@ def holding(motor_bus: MotorBus) -> str:
 
     Asks for ids and currents only, which changes nothing in a motor.
     """
-    current = motor_bus.read(Register.CURRENT)
+    current = registers.read(motor_bus, Register.CURRENT)
     on = [JOINTS[joint] for joint in ALL if abs(current[joint]) > HOLDING]
     if not on:
         return ""

@@ -7,11 +7,14 @@ import numpy as np
 from mimic.errors import FrameError
 from mimic.hardware.can.load import MAX_LOAD, expected_load
 from mimic.hardware.can.other_programs import holding, others
-from mimic.hardware.can.step_budget import SPARE, StepBudget
+from mimic.hardware.can.step_budget import SPARE, StepBudget, step_budget
+from mimic.hardware.can.switch_on import set_host_timeout
 from mimic.hardware.can.zeros import Homing, uneven, zero_problems
+from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import MotorMode, Register
 from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check
+from mimic.hardware.robot.driver import CheckOptions
 from mimic.records import DOUBLED, JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
 
@@ -36,6 +39,32 @@ IMU_RATE_TOLERANCE = 0.2
 
 UNKNOWN_SHOWN = 6
 """Identifiers of unknown senders that are named."""
+
+
+def checked(
+    motor_bus: MotorBus,
+    description: RobotDescription,
+    options: CheckOptions,
+    *,
+    homing: Homing | None,
+    trust_zeros: bool,
+) -> list[Check]:
+    """Check a robot for a run; see `preflight`."""
+    rate_hz = np.asarray(options.rate_hz, dtype=float)
+    budget = None
+    if options.inference is not None:
+        parts = round(float(rate_hz.max()) * description.dt)
+        budget = step_budget(motor_bus.wiring, description.dt, parts, options.inference)
+    motor_bus.drain()  # what came while a person was asked
+    return preflight(
+        motor_bus,
+        description,
+        rate_hz=rate_hz,
+        homing=homing,
+        trust_zeros=trust_zeros,
+        suspended=options.suspended,
+        budget=budget,
+    )
 
 
 def preflight(
@@ -63,7 +92,7 @@ def preflight(
     driven = others(motor_bus) or holding(motor_bus)
     if driven:
         return [*found, Check(name="other programs", verdict="stop", text=driven)]
-    silent = motor_bus.stop()
+    silent = registers.stop(motor_bus)
     if silent:
         names = ", ".join(JOINTS[j] for j in silent)
         return [*found, Check(name="motors", verdict="stop", text=f"no answer from {names}; run: mimic robot scan")]
@@ -155,7 +184,7 @@ def _temperature(motor_bus: MotorBus) -> Check:
 
 def _voltage(motor_bus: MotorBus) -> Check:
     facts = motor_bus.motors.facts
-    volts = motor_bus.read(Register.SUPPLY_VOLTAGE)
+    volts = registers.read(motor_bus, Register.SUPPLY_VOLTAGE)
     if np.isnan(volts).any():
         names = ", ".join(JOINTS[j] for j in np.flatnonzero(np.isnan(volts)))
         since = f"; their firmware is older than {facts.voltage_since}" if facts.voltage_since else ""
@@ -177,7 +206,7 @@ def _range(motor_bus: MotorBus) -> Check:
     name = "position range"
     motors = motor_bus.motors
     used = motor_bus.wiring.position_range
-    exact = motor_bus.read(Register.POSITION)
+    exact = registers.read(motor_bus, Register.POSITION)
     register = motors.facts.registers.get(Register.POSITION, "no register")
     confirmed = 0
     wrong = []
@@ -234,12 +263,6 @@ def _imu(motor_bus: MotorBus, q: FloatArray, description: RobotDescription, susp
     return imu_checks(reading.quat_WB, reading.omega_B, q, description, suspended=suspended, text=text)
 
 
-def set_host_timeout(motor_bus: MotorBus) -> bool:
-    """Ask the motors to stop by themselves when no host sends anything; return whether all of them read it back."""
-    value = motor_bus.motors.facts.host_timeout
-    return bool(np.all(np.abs(motor_bus.write(Register.HOST_TIMEOUT, value) - value) < 0.5))
-
-
 def _timeout(motor_bus: MotorBus) -> Check:
     register = motor_bus.motors.facts.registers.get(Register.HOST_TIMEOUT, "a host timeout")
     if set_host_timeout(motor_bus):
@@ -254,13 +277,13 @@ def at_rest(motor_bus: MotorBus, description: RobotDescription) -> list[Check]:
 
     Its motors are switched off by that, as every frame that asks for a position does something.
     """
-    silent = motor_bus.stop()
+    silent = registers.stop(motor_bus)
     if silent:
         names = ", ".join(JOINTS[j] for j in silent)
         return [Check(name="motors", verdict="stop", text=f"no answer from {names}; run: mimic robot scan")]
     q, _, _ = motor_bus.readings(-np.inf)
     found = _imu(motor_bus, np.full(len(JOINTS), np.nan), description, False)
-    motor_bus.stop()
+    registers.stop(motor_bus)
     moved = np.abs(motor_bus.readings(-np.inf)[0] - q)
     worst = int(np.argmax(moved))
     if not moved[worst] <= MAX_MOVED:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from mimic.errors import AssetError
 from mimic.hardware.can.wiring import Wiring
+from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import Register
 from mimic.io.store import load_json, save_json
@@ -52,6 +54,13 @@ class Homing:
             ) from None
 
 
+def homing_file(wiring: Wiring) -> Path:
+    """Return the file with the zeros of a robot: one for each wiring file."""
+    base = os.environ.get("XDG_STATE_HOME")
+    folder = (Path(base) if base else Path.home() / ".local" / "state") / "mimic"
+    return folder / f"zeros-{wiring.path.parent.name}-{wiring.path.stem}.json"
+
+
 def read_homing(path: Path) -> Homing | None:
     """Return the zeros in a file, or None if there is no such file.
 
@@ -76,8 +85,8 @@ def zero_problems(motor_bus: MotorBus, homing: Homing | None) -> list[str]:
     """Return why the zeros cannot be trusted, joint by joint; empty if they can."""
     if homing is None:
         return ["no zeros were set on this computer"]
-    mark = motor_bus.read(Register.POWER_UP_MARK)
-    uid = motor_bus.uids()
+    mark = registers.read(motor_bus, Register.POWER_UP_MARK)
+    uid = registers.read_uids(motor_bus)
     problems = []
     for joint, name in enumerate(JOINTS):
         if uid.get(joint) != homing.uid[joint]:

@@ -1,4 +1,4 @@
-"""Twelve motors and an IMU on a link: sends commands, matches answers to motors, reads and writes registers.
+"""Twelve motors and an IMU on a link: sends commands, and matches answers to motors.
 
 Motor protocols have no sequence numbers. An answer belongs to the last command that was sent before it arrived. An
 answer that is delayed by a whole control step is taken from the link before the next commands go out, and so keeps
@@ -14,7 +14,7 @@ from statistics import median
 
 import numpy as np
 
-from mimic.errors import BusError, FrameError, PlantError, UnknownFrame
+from mimic.errors import BusError, FrameError, UnknownFrame
 from mimic.hardware.can.frame import CanFrame, Link, Received
 from mimic.hardware.can.load import frame_bits
 from mimic.hardware.can.wiring import Wiring
@@ -32,14 +32,8 @@ from mimic.records import DOUBLED, JOINTS, FloatArray, JointCommand
 
 ALL = tuple(range(len(JOINTS)))
 
-ANSWER_TIMEOUT = 0.05
-"""A motor answers within a millisecond on a quiet bus; adapters and a busy computer take the rest [s]."""
-
 ASK_TIMEOUT = 0.5
 """A question whose time is measured is given up after this [s]."""
-
-TRIES = 4
-"""How often a motor is asked before it counts as silent."""
 
 REPORTED = 64
 """Fault bit that stands for a fault report; the bits of a feedback are below it."""
@@ -60,9 +54,6 @@ _COUNT_EVERY = 16
 
 _MOST_UNKNOWN = 1000
 """Identifiers of unknown senders that are remembered."""
-
-READ_BACK_TOLERANCE = 1e-3
-"""A register that reads back further away than this was not accepted."""
 
 
 class MotorBus:
@@ -100,11 +91,13 @@ class MotorBus:
         """Own frames of the last moments -> until when each may come back as an echo, the oldest first [s]."""
         self.unknown: Counter[tuple[int, str]] = Counter()
         """Frames of unknown senders so far: bus and identifier -> count."""
-        self._values: dict[tuple[int, Register], float] = {}
+        self.values: dict[tuple[int, Register], float] = {}
+        """Numbers of registers that motors told last, by joint."""
         self._asked: tuple[int, Register, float] | None = None
         self.round_trip = float("nan")
         """From the newest question by `ask_round_trip` with an answer to that answer [s]."""
-        self._uids: dict[int, int] = {}
+        self.uids: dict[int, int] = {}
+        """Unique numbers of motors that told theirs, by joint."""
         self._owed = np.zeros(len(JOINTS), dtype=int)
         self._unasked = np.zeros(len(JOINTS), dtype=int)
         self.bits: FloatArray = np.zeros(wiring.buses)
@@ -193,12 +186,12 @@ class MotorBus:
                 self._answered(joint)
             case RegisterValue():
                 self._answered(joint)
-                self._values[joint, answer.register] = answer.value
+                self.values[joint, answer.register] = answer.value
                 if self._asked is not None and self._asked[:2] == (joint, answer.register):
                     self.round_trip = t - self._asked[2]
                     self._asked = None
             case Identity():
-                self._uids[joint] = answer.uid
+                self.uids[joint] = answer.uid
                 self._answered(joint)
             case FaultReport():
                 self.faults[joint] = (self.faults[joint] & DOUBLED) | (REPORTED if answer.faults else 0)
@@ -272,58 +265,6 @@ class MotorBus:
             raise reason
         return JointCommand(q_des=w.q_of(p), dq_des=dq_des, kp=kp, kd=kd, tau_ff=tau_ff)
 
-    def ask(self, question: Callable[[int], CanFrame], answered: Callable[[int], bool]) -> list[int]:
-        """Send a frame to every motor, again where no answer comes, and return the joints that stayed silent.
-
-        Args:
-            question: Frame to a motor's id.
-            answered: Whether the motor of a joint has answered.
-        """
-        silent = list(ALL)
-        for _ in range(TRIES):
-            for joint in silent:
-                self.send(joint, question(self.id(joint)))
-            waiting = tuple(silent)
-            self.listen(self.link.now() + ANSWER_TIMEOUT, lambda waiting=waiting: all(map(answered, waiting)))
-            silent = [joint for joint in silent if not answered(joint)]
-            if not silent:
-                break
-        return silent
-
-    def ask_feedback(self, question: Callable[[int], CanFrame]) -> list[int]:
-        """Send a frame that every motor answers with a feedback; return the joints that stayed silent."""
-        self.drain()
-        since = self.link.now()
-        return self.ask(question, lambda joint: self.came[joint] > since)
-
-    def stop(self) -> list[int]:
-        """Switch every motor off; return the joints whose motors did not answer."""
-        return self.ask_feedback(self.motors.stop)
-
-    def enable(self) -> list[int]:
-        """Switch every motor on; return the joints whose motors did not answer."""
-        return self.ask_feedback(self.motors.enable)
-
-    def set_zero(self) -> list[int]:
-        """Make the present position of every motor zero; return the joints whose motors did not answer."""
-        return self.ask_feedback(self.motors.set_zero)
-
-    def uids(self) -> dict[int, int]:
-        """Return the unique number of the motor of each joint that answers."""
-        self._uids.clear()
-        self.ask(self.motors.ask_identity, lambda joint: joint in self._uids)
-        return dict(self._uids)
-
-    # ------------------------------------------------------------------ registers
-
-    def read(self, register: Register) -> FloatArray:
-        """Return a register of every motor (12,); NaN where none answered, or the motors do not have it."""
-        for joint in ALL:
-            self._values.pop((joint, register), None)
-        if register in self.motors.facts.registers:
-            self.ask(lambda motor: self.motors.read(motor, register), lambda joint: (joint, register) in self._values)
-        return np.array([self._values.get((joint, register), np.nan) for joint in ALL])
-
     def ask_round_trip(self, joint: int, register: Register) -> None:
         """Ask one motor for a register, and measure how long its answer takes, unless one is waited for already."""
         waits = self._asked is not None and self.link.now() - self._asked[2] < ASK_TIMEOUT
@@ -333,28 +274,9 @@ class MotorBus:
 
     def voltage(self) -> float:
         """Return the median of the supply voltages that the motors told last [V]; NaN where none did."""
-        told = (self._values.get((joint, Register.SUPPLY_VOLTAGE), np.nan) for joint in ALL)
+        told = (self.values.get((joint, Register.SUPPLY_VOLTAGE), np.nan) for joint in ALL)
         known = [volts for volts in told if math.isfinite(volts)]
         return median(known) if known else math.nan
-
-    def write(self, register: Register, value: float) -> FloatArray:
-        """Write a register of every motor and return what each reads back (12,); NaN if there is no such register."""
-        if register in self.motors.facts.registers:
-            self.ask_feedback(lambda motor: self.motors.write(motor, register, value))
-        return self.read(register)
-
-    def set(self, register: Register, value: float) -> None:
-        """Write a register of every motor and check that it was accepted.
-
-        Raises:
-            PlantError: If a motor does not read back what was written.
-        """
-        got = self.write(register, value)
-        wrong = np.flatnonzero(~(np.abs(got - value) <= READ_BACK_TOLERANCE))
-        if len(wrong):
-            name = self.motors.facts.registers.get(register, f"{register}, which these motors do not have,")
-            readings = ", ".join(f"{JOINTS[j]} reads {got[j]:g}" for j in wrong)
-            raise PlantError(f"{name} was set to {value:g}, but {readings}; expected all twelve motors to accept it")
 
     # ------------------------------------------------------------------ readings
 

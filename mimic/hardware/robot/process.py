@@ -79,7 +79,7 @@ def load_driver(settings: DriverSettings) -> Callable[..., Driver]:
             import lcm  # noqa: F401
         return open_stock_driver
     import mimic.hardware.can.opening  # noqa: F401
-    from mimic.hardware.can.driver import open_can_driver
+    from mimic.hardware.can.open_driver import open_can_driver
 
     return open_can_driver
 

@@ -20,7 +20,7 @@ from mimic.flows.reporter import SilentReporter
 from mimic.flows.robot import robot_run as flow
 from mimic.flows.robot.operator import Operator
 from mimic.hardware import session
-from mimic.hardware.can import driver
+from mimic.hardware.can import open_driver
 from mimic.hardware.can.wiring import load_wiring
 from mimic.io import store
 from mimic.policy.runtime import load_policy
@@ -43,9 +43,9 @@ def targets(monkeypatch, tmp_path):
         return link
 
     def process(settings, description, *, keep=()):
-        return EmulatedSenderLink(driver.open_can_driver(settings), description)
+        return EmulatedSenderLink(open_driver.open_can_driver(settings), description)
 
-    monkeypatch.setattr(driver, "open_buses", opened)
+    monkeypatch.setattr(open_driver, "open_buses", opened)
     monkeypatch.setattr(session, "SenderProcess", process)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     contract = load_policy(None, load_description("cyberdog2")).contract

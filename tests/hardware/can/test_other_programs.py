@@ -22,7 +22,7 @@ from mimic.errors import BusError, PlantError
 from mimic.flows.robot import commissioning
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
-from mimic.hardware.can import driver
+from mimic.hardware.can import open_driver
 from mimic.hardware.can.frame import CanFrame, Received
 from mimic.hardware.can.other_programs import look_first
 from mimic.hardware.can.preflight import preflight
@@ -149,7 +149,7 @@ def test_damping_switches_off_what_a_program_left_on(reached, description):
 )
 def test_no_command_speaks_beside_a_program_that_drives(call, robot, description, monkeypatch):
     plant = driven(robot, description)
-    for module in (session, driver):
+    for module in (session, open_driver):
         monkeypatch.setattr(module, "open_buses", lambda *_, **__: Beside(robot, plant, description))
     frames = sent_by_hosts(robot)
     try:

@@ -16,6 +16,7 @@ from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.can.zeros import with_homing
+from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import Register
 from mimic.hardware.robot.checks import Check, feet_normal
@@ -100,13 +101,13 @@ def test_zeros_that_were_set_pass(description):
 
 @pytest.mark.parametrize(("spread", "verdict"), [(1.4, "ok"), (1.6, "note")])
 def test_motors_that_differ_in_their_supply_are_a_hint_at_the_wires(spread, verdict, description, monkeypatch):
-    whole = MotorBus.read
+    whole = registers.read
 
-    def read(self: MotorBus, register: Register) -> np.ndarray:
+    def read(motor_bus: MotorBus, register: Register) -> np.ndarray:
         drop = spread * (np.arange(12) == 5) if register == Register.SUPPLY_VOLTAGE else 0.0
-        return whole(self, register) - drop
+        return whole(motor_bus, register) - drop
 
-    monkeypatch.setattr(MotorBus, "read", read)
+    monkeypatch.setattr(registers, "read", read)
     found = look(description)["voltage"]
     assert found.verdict == verdict
     assert ("check the wires" in found.text) == (verdict == "note")
