@@ -13,6 +13,7 @@ from lab.faults.trouble import Trouble, halt
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import EmulatedFault
 from mimic.emulator.link import EmulatedLink
+from mimic.emulator.motor_frames import encode_answer
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, FrameError
@@ -123,7 +124,7 @@ class ProxyLink:
         bits = int(rng.integers(64)) if self._trouble.hit() else 0
         warm, mode = float(rng.uniform(20, 90)), MotorMode(int(rng.integers(3)))
         forged = replace(message.said, q=q, dq=dq, tau=tau, temperature=warm, mode=mode, faults=bits)
-        return received._replace(frame=self._codec.encode(replace(message, said=forged)))
+        return received._replace(frame=encode_answer(self._codec, replace(message, said=forged)))
 
 
 class _Plant(Robot):

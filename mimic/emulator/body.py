@@ -106,8 +106,6 @@ class EmulatedBody:
         self._drives = [FREE] * 12
         self._coming: list[deque[tuple[float, Drive]]] = [deque() for _ in range(12)]
         self._numbers = np.zeros((6, 12))
-        self._pace = np.full(12, np.inf)
-        self._target = np.array(self.data.qpos[-12:])
         self._changed = True
         self._mixed = np.zeros(12, dtype=bool)
         """Motors whose command changed during the last step."""
@@ -198,9 +196,8 @@ class EmulatedBody:
             self._law.limit_torque(limit[None])
             self._force = tau + kd * dq
             self._changed = False
-        self._target += np.minimum(np.maximum(self._numbers[2] - self._target, -self._pace * h), self._pace * h)
         inputs = self._law.step(
-            data.qpos[None, -12:], data.qvel[None, -12:], self._target[None], now, self._force[None]
+            data.qpos[None, -12:], data.qvel[None, -12:], self._numbers[None, 2], now, self._force[None]
         )
         self._servo.write(inputs)
         jammed = bool(self._jam.any())
@@ -230,8 +227,6 @@ class EmulatedBody:
             tau = 0.0
             while coming and coming[0][0] < end:
                 t, drive = coming.popleft()
-                if np.isfinite(drive.pace) and not (self._drives[joint].kp and np.isfinite(self._drives[joint].pace)):
-                    self._target[joint] = self.data.qpos[-12 + joint]
                 was = self._drives[joint]
                 if (drive.kp, drive.kd, drive.limit) == (was.kp, was.kd, was.limit):
                     share = (max(t, begin) - at) / (end - begin)
@@ -252,7 +247,6 @@ class EmulatedBody:
             tau = tau + share * new.tau
             self._numbers[:, joint] = new.kp, new.kd, q, dq, tau, new.limit
             self._mixed[joint] = at > begin
-            self._pace[joint] = new.pace
             self._changed = True
 
     # ------------------------------------------------------------------ what is measured

@@ -15,22 +15,15 @@ from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motors.cybergear.codec import TORQUE, Codec, HostMessage, MotorMessage, ParameterValue
 from mimic.hardware.motors.cybergear.parameters import (
     CAN_TIMEOUT,
-    IQ_REF,
-    LIMIT_CUR,
-    LIMIT_SPD,
+    IQF,
     LIMIT_TORQUE,
-    LOC_KP,
-    LOC_REF,
     MECH_POS,
-    MECH_VEL,
+    OPERATION_MODE,
     PARAMETERS,
     RUN_MODE,
-    SPD_KP,
-    SPD_REF,
     VBUS,
     Fault,
     Kind,
-    RunMode,
 )
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorMode
 
@@ -88,8 +81,6 @@ class Drive(NamedTuple):
     tau: float = 0.0
     limit: float = TORQUE[1]
     """Greatest torque [N m]."""
-    pace: float = math.inf
-    """Speed at which the target moves to ``q`` [rad/s]."""
 
 
 class Measured(NamedTuple):
@@ -174,7 +165,7 @@ class EmulatedMotor:
             self.host = message.host
         match message.kind:
             case Kind.OPERATION:
-                if self.mode is MotorMode.RUNNING and self.values[RUN_MODE] == RunMode.OPERATION:
+                if self.mode is MotorMode.RUNNING and self.values[RUN_MODE] == OPERATION_MODE:
                     assert message.command is not None
                     q, dq, kp, kd, tau = message.command
                     self.drive = Drive(kp, kd, q + self.zero, dq, tau, self.values[LIMIT_TORQUE])
@@ -183,25 +174,22 @@ class EmulatedMotor:
             case Kind.ENABLE:
                 if not self.faults:
                     self.mode = MotorMode.RUNNING
-                    self.drive = self._drive_of_run_mode(measured)
+                    self.drive = self._limited()
             case Kind.STOP:
                 self.stop()
                 if message.value:
                     self.faults = Fault(0)
             case Kind.SET_ZERO:
                 self.zero = measured.q
-            case Kind.SET_ID:
-                self.id = int(message.value)
-                return self._identity()
             case Kind.READ:
                 value = self._read(message.index, measured)
                 return MotorMessage(
                     said=ParameterValue(motor=self.id, index=message.index, value=value), host=self.host
                 )
             case Kind.WRITE:
-                self._write(message.index, message.value, measured)
+                self._write(message.index, message.value)
             case _:
-                return None  # a bit rate: this emulation stays at the speed of its bus
+                return None  # another id, or a bit rate: this emulation keeps those of its bus
         return self.feedback(measured)
 
     def stop(self) -> None:
@@ -225,39 +213,24 @@ class EmulatedMotor:
     def _read(self, index: int, measured: Measured) -> float:
         own = {
             MECH_POS: measured.q - self.zero,
-            MECH_VEL: measured.dq,
             VBUS: measured.voltage,
-            0x701A: measured.tau / TORQUE_PER_AMPERE,
-            0x701D: math.floor((measured.q - self.zero) / (2 * math.pi)),
+            IQF: measured.tau / TORQUE_PER_AMPERE,
         }
         return own.get(index, self.values[index])
 
-    def _write(self, index: int, value: float, measured: Measured) -> None:
+    def _write(self, index: int, value: float) -> None:
         running = self.mode is MotorMode.RUNNING
         if not PARAMETERS[index].writable or (index == RUN_MODE and running):
             return
         if index == CAN_TIMEOUT and not self.timeout_honoured:
             return
         self.values[index] = value
-        if running and (index == LIMIT_TORQUE or self.values[RUN_MODE] != RunMode.OPERATION):
-            self.drive = self._drive_of_run_mode(measured)
+        if running and index == LIMIT_TORQUE:
+            self.drive = self._limited()
 
-    def _drive_of_run_mode(self, measured: Measured) -> Drive:
-        """Return what a motor that runs does; the cascades of position and speed without their integrators."""
-        v = self.values
-        current = self.values[LIMIT_CUR] * TORQUE_PER_AMPERE
-        match RunMode(int(v[RUN_MODE])):
-            case RunMode.OPERATION:
-                return self.drive._replace(limit=v[LIMIT_TORQUE])
-            case RunMode.POSITION:
-                kd = v[SPD_KP] * TORQUE_PER_AMPERE
-                return Drive(
-                    v[LOC_KP] * kd, kd, v[LOC_REF] + self.zero, limit=min(current, TORQUE[1]), pace=v[LIMIT_SPD]
-                )
-            case RunMode.SPEED:
-                return Drive(kd=v[SPD_KP] * TORQUE_PER_AMPERE, dq=v[SPD_REF], limit=min(current, TORQUE[1]))
-            case RunMode.CURRENT:
-                return Drive(tau=v[IQ_REF] * TORQUE_PER_AMPERE, limit=TORQUE[1])
+    def _limited(self) -> Drive:
+        """Return the drive within the limit of torque; in run modes of its own this motor stands idle."""
+        return self.drive._replace(limit=self.values[LIMIT_TORQUE])
 
     # ------------------------------------------------------------------ faults
 

@@ -22,6 +22,7 @@ from mimic.emulator.bus import EmulatedBus, Sent
 from mimic.emulator.faults import EmulatedFault, miswiring
 from mimic.emulator.imu import EmulatedMti
 from mimic.emulator.motor import FREE, LEAST_TORQUE, ROTOR_TURN, Drive, EmulatedMotor, Measured
+from mimic.emulator.motor_frames import encode_answer
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame, Received
 from mimic.hardware.can.wiring import Wiring
@@ -327,7 +328,7 @@ class EmulatedRobot:
 
     def _answer(self, i: int, message: MotorMessage, ready: float) -> None:
         if self._value("motor_mute", joint=i) is None and self._value("motor_dead", joint=i) is None:
-            self.buses[int(self.wiring.bus[i])].submit(f"motor{i}", self._codec.encode(message), ready)
+            self.buses[int(self.wiring.bus[i])].submit(f"motor{i}", encode_answer(self._codec, message), ready)
 
     def _apply(self, i: int) -> None:
         """Pass a motor's drive to the body, in the joint's sign and zero."""

@@ -197,7 +197,7 @@ def _board_notes(driver: Any, *, heard: bool) -> list[str]:
 
 def _watch_board(bus_url: str, bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
     """Show what a stock robot says; nothing is sent."""
-    from mimic.hardware.robot.process import open_driver
+    from mimic.hardware.robot.opening import open_driver
     from mimic.hardware.session import driver_settings
 
     driver: Any = open_driver(driver_settings(bus_url, bus, load_robot(robot_on(bus_url))))

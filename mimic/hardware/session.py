@@ -23,8 +23,9 @@ from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.robot.board_wiring import BOARDS
 from mimic.hardware.robot.checks import Check, before_moving, refuse
 from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings
+from mimic.hardware.robot.opening import open_driver
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.robot.process import SenderProcess, open_driver
+from mimic.hardware.robot.process import SenderProcess
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 

@@ -146,16 +146,6 @@ def test_a_desired_velocity_is_followed(description):
     assert made.joint(KNEE, made.time)[1] == pytest.approx(-1.0, abs=0.4)
 
 
-def test_a_target_with_a_pace_is_approached_at_it(description):
-    made = body(description, suspended=True)
-    hold(made, description.poses["four"])
-    made.advance(0.5)
-    begin = made.joint(KNEE, made.time)[0]
-    made.drive(KNEE, Drive(kp=60.0, kd=2.0, q=begin - 1.0, pace=0.5), made.time)
-    made.advance(made.time + 1.0)
-    assert made.joint(KNEE, made.time)[0] - begin == pytest.approx(-0.5, abs=0.1)
-
-
 def test_a_delay_is_that_of_the_effect(description):
     """A torque that is asked for at 0.1 s is given from 0.1 s plus the delay on."""
     for seconds in (0.0, 0.02):

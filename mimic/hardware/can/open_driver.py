@@ -42,7 +42,7 @@ def open_buses(bus_url: str, wiring: Wiring, *, quick: bool = False) -> Link:
 
 
 def open_can_driver(settings: DriverSettings, *, quick: bool = False) -> CanDriver:
-    """Open the driver of a robot on CAN; see `mimic.hardware.robot.process.open_driver`."""
+    """Open the driver of a robot on CAN; see `mimic.hardware.robot.opening.open_driver`."""
     path = None if settings.wiring is None else Path(settings.wiring)
     wiring = load_wiring(path, buses=len(settings.bus_url.split(",")))
     homing = None if settings.zeroed else read_homing(homing_file(wiring))

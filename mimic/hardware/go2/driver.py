@@ -383,7 +383,7 @@ class Go2Driver(BoardDriver):
 
 
 def open_go2_driver(settings: DriverSettings, *, quick: bool = False) -> Go2Driver:
-    """Open the driver of a Go2; see `mimic.hardware.robot.process.open_driver`."""
+    """Open the driver of a Go2; see `mimic.hardware.robot.opening.open_driver`."""
     wiring = load_go2(None if settings.wiring is None else Path(settings.wiring))
     interface = check_network(wiring, settings.interface)
     description = load_description(settings.robot)

@@ -14,7 +14,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from typing import Any, Protocol
@@ -24,9 +24,9 @@ import numpy as np
 from mimic import errors
 from mimic.control.priority import SENDER, real_time
 from mimic.errors import MimicError, PlantError
-from mimic.hardware.robot.board_wiring import BOARDS
 from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import REPORT, CheckOptions, Driver, DriverSettings
+from mimic.hardware.robot.driver import REPORT, CheckOptions, DriverSettings
+from mimic.hardware.robot.opening import load_driver, open_driver
 from mimic.hardware.robot.sender import GIVE_UP, Order, Sender, State, why_lost
 from mimic.robot.description import RobotDescription, load_description
 
@@ -62,39 +62,6 @@ _TAKEN_OVER = b"D"
 _ENDING = b"T"
 
 _LARGEST = 1 << 17
-
-
-def load_driver(settings: DriverSettings) -> Callable[..., Driver]:
-    """Import what opens the driver of a robot, and return it: opening is quick then."""
-    if settings.bus_url == "go2":
-        from mimic.hardware.go2.driver import open_go2_driver
-
-        with suppress(ImportError):
-            import cyclonedds.domain  # noqa: F401
-        return open_go2_driver
-    if settings.bus_url in BOARDS:
-        from mimic.hardware.stock.driver import open_stock_driver
-
-        with suppress(ImportError):
-            import lcm  # noqa: F401
-        return open_stock_driver
-    import mimic.hardware.can.opening  # noqa: F401
-    from mimic.hardware.can.open_driver import open_can_driver
-
-    return open_can_driver
-
-
-def open_driver(settings: DriverSettings, *, quick: bool = False) -> Driver:
-    """Open the driver of a robot; nothing is sent.
-
-    Args:
-        settings: Which robot.
-        quick: Do not wait for an adapter that starts up: it was in use a moment ago.
-
-    Raises:
-        ConfigError, AssetError, BusError, MissingExtra: If that is not possible.
-    """
-    return load_driver(settings)(settings, quick=quick)
 
 
 class SenderLink(Protocol):

@@ -228,7 +228,7 @@ def _commands(last: Any) -> Check:
 
 
 def open_stock_driver(settings: DriverSettings, *, quick: bool = False) -> StockDriver:
-    """Open the driver of a stock robot; see `mimic.hardware.robot.process.open_driver`."""
+    """Open the driver of a stock robot; see `mimic.hardware.robot.opening.open_driver`."""
     wiring = load_board(None if settings.wiring is None else Path(settings.wiring))
     network, ttl = check_network(wiring, settings.interface)
     description = load_description(settings.robot)

@@ -27,8 +27,9 @@ from mimic.flows.watching import watch_robot
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.robot import process
 from mimic.hardware.robot.driver import CheckOptions, DriverSettings
+from mimic.hardware.robot.opening import open_driver
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.robot.process import SenderProcess, open_driver
+from mimic.hardware.robot.process import SenderProcess
 from mimic.hardware.robot.sender import Sender
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.messages import MOTOR_CTRL

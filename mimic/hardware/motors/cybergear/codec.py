@@ -52,7 +52,7 @@ WORDS = 65535
 """Steps in the range of a quantity."""
 _ROUNDING = 1e-6
 """Added before truncating [words], so that a decoded quantity encodes to the word it came from."""
-_FAULT_ORDER: Literal["little"] = "little"
+FAULT_ORDER: Literal["little"] = "little"
 """Byte order of fault reports. Libraries disagree, and the manual does not say; parameters are little-endian."""
 _PACK = {"u8": "<B3x", "i16": "<h2x", "u32": "<I", "f32": "<f"}
 
@@ -86,7 +86,7 @@ class HostMessage:
     index: int = 0
     """Of the parameter of READ and WRITE."""
     value: float = 0.0
-    """Number to WRITE, id to SET_ID; 1 where a STOP clears faults."""
+    """Number to WRITE; 1 where a STOP clears faults."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -125,65 +125,38 @@ class Codec:
             raise ConfigError(f"position_range is {self.position_range:g} rad; expected 4 pi = 12.566 or 12.5")
 
     @property
-    def _position(self) -> tuple[float, float]:
+    def position(self) -> tuple[float, float]:
+        """Range of positions [rad]."""
         return -self.position_range, self.position_range
 
-    def encode(self, message: HostMessage | MotorMessage) -> CanFrame:
+    def encode(self, m: HostMessage) -> CanFrame:
         """Return the frame of a message.
 
         Raises:
             FrameError: If a number is not finite, or an id or index does not exist.
         """
-        motor = message.motor if isinstance(message, HostMessage) else message.said.motor
-        for name, value, high in (("motor", motor, MOTOR_IDS), ("host", message.host, 256)):
-            if not 0 <= value < high:
-                raise FrameError(f"the id of the {name} is {value}; expected from 0 to {high - 1}")
-        return self._to_motor(message) if isinstance(message, HostMessage) else self._to_host(message)
-
-    def _to_motor(self, m: HostMessage) -> CanFrame:
+        check_ids(m.motor, m.host)
         area = m.host
         data = bytes(8)
         match m.kind:
             case Kind.OPERATION:
                 assert m.command is not None
                 q, dq, kp, kd, tau = m.command
-                words = (to_word(q, *self._position), to_word(dq, *VELOCITY), to_word(kp, *KP), to_word(kd, *KD))
+                words = (to_word(q, *self.position), to_word(dq, *VELOCITY), to_word(kp, *KP), to_word(kd, *KD))
                 area = to_word(tau, *TORQUE)
                 data = struct.pack(">4H", *words)
             case Kind.STOP:
                 data = bytes([m.value == 1]) + bytes(7)
             case Kind.SET_ZERO:
                 data = b"\x01" + bytes(7)
-            case Kind.SET_ID:
-                if not 0 <= m.value < MOTOR_IDS:
-                    raise FrameError(f"the new id is {m.value:g}; expected from 0 to {MOTOR_IDS - 1}")
-                area = int(m.value) << 8 | m.host
-                data = b"\x01" + bytes(7)
             case Kind.READ:
                 parameter(m.index)
                 data = struct.pack("<H6x", m.index)
             case Kind.WRITE:
-                data = _parameter_bytes(m.index, m.value)
+                data = parameter_bytes(m.index, m.value)
             case _:
                 pass
-        return _frame(m.kind, area, m.motor, data)
-
-    def _to_host(self, message: MotorMessage) -> CanFrame:
-        said = message.said
-        host = message.host
-        match said:
-            case Feedback():
-                words = (to_word(said.q, *self._position), to_word(said.dq, *VELOCITY), to_word(said.tau, *TORQUE))
-                data = struct.pack(">4H", *words, to_word(said.temperature, *TEMPERATURE))
-                return _frame(Kind.FEEDBACK, said.mode << 14 | said.faults << 8 | said.motor, host, data)
-            case Identity():
-                return _frame(Kind.DEVICE_ID, said.motor, BROADCAST, said.uid.to_bytes(8, "little"))
-            case ParameterValue():
-                assert said.value is not None
-                return _frame(Kind.READ, said.motor, host, _parameter_bytes(said.index, said.value))
-            case FaultReport():
-                words = (said.faults, said.warnings)
-                return _frame(Kind.FAULT, said.motor, host, b"".join(w.to_bytes(4, _FAULT_ORDER) for w in words))
+        return frame_of(m.kind, area, m.motor, data)
 
     def decode(self, frame: CanFrame) -> HostMessage | MotorMessage:
         """Return the message of a frame, of either direction.
@@ -223,7 +196,7 @@ class Codec:
                 raise FrameError(f"{frame} has mode 3; a motor has modes 0 to 2")
             said = Feedback(
                 motor=motor,
-                q=from_word(q, *self._position),
+                q=from_word(q, *self.position),
                 dq=from_word(dq, *VELOCITY),
                 tau=from_word(tau, *TORQUE),
                 temperature=from_word(heat, *TEMPERATURE),
@@ -239,7 +212,7 @@ class Codec:
         elif kind is Kind.DEVICE_ID and host == BROADCAST:
             said = Identity(motor=motor, uid=int.from_bytes(data, "little"))
         elif kind is Kind.FAULT:
-            faults, warnings = (int.from_bytes(part, _FAULT_ORDER) for part in (data[:4], data[4:]))
+            faults, warnings = (int.from_bytes(part, FAULT_ORDER) for part in (data[:4], data[4:]))
             said = FaultReport(motor=motor, faults=faults, warnings=warnings)
         else:
             raise UnknownFrame(
@@ -253,7 +226,7 @@ class Codec:
         if kind is Kind.OPERATION:
             q, dq, kp, kd = struct.unpack(">4H", data)
             command = MotorCommand(
-                from_word(q, *self._position),
+                from_word(q, *self.position),
                 from_word(dq, *VELOCITY),
                 from_word(kp, *KP),
                 from_word(kd, *KD),
@@ -263,7 +236,7 @@ class Codec:
         if kind is Kind.SET_ID:
             if area >> 8 >= MOTOR_IDS:
                 raise UnknownFrame(f"{frame} sets the id {area >> 8}; motors have ids below {MOTOR_IDS}")
-            return HostMessage(kind, motor, host, value=area >> 8)
+            return HostMessage(kind, motor, host)
         index = 0
         value = 0.0
         if kind in (Kind.READ, Kind.WRITE):
@@ -279,11 +252,24 @@ class Codec:
         return HostMessage(kind, motor, host, index=index, value=value)
 
 
-def _frame(kind: Kind, area: int, destination: int, data: bytes) -> CanFrame:
+def check_ids(motor: int, host: int) -> None:
+    """Refuse ids that cannot be.
+
+    Raises:
+        FrameError: With the one.
+    """
+    for name, value, high in (("motor", motor, MOTOR_IDS), ("host", host, 256)):
+        if not 0 <= value < high:
+            raise FrameError(f"the id of the {name} is {value}; expected from 0 to {high - 1}")
+
+
+def frame_of(kind: Kind, area: int, destination: int, data: bytes) -> CanFrame:
+    """Return a frame of its communication type, data area, destination and bytes."""
     return CanFrame(kind << 24 | area << 8 | destination, data)
 
 
-def _parameter_bytes(index: int, value: float) -> bytes:
+def parameter_bytes(index: int, value: float) -> bytes:
+    """Return the bytes of a parameter's index and value."""
     p = parameter(index)
     if not math.isfinite(value):
         raise FrameError(f"parameter {p.name} cannot be {value}; expected a finite number")

@@ -39,13 +39,8 @@ class Fault(IntFlag):
     NOT_CALIBRATED = 32
 
 
-class RunMode(IntEnum):
-    """Values of the parameter RUN_MODE; it must not change while the motor runs."""
-
-    OPERATION = 0
-    POSITION = 1
-    SPEED = 2
-    CURRENT = 3
+OPERATION_MODE = 0
+"""RUN_MODE of a motor that follows operation commands; it must not change while the motor runs."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -89,7 +89,7 @@ class CyberGear:
             position_step=2.0 * position_range / WORDS,
             position_bias=position_range / WORDS,
             registers=NAMES,
-            impedance_mode=float(gear.RunMode.OPERATION),
+            impedance_mode=float(gear.OPERATION_MODE),
             host_timeout=float(TIMEOUT),
             voltage_since="1.2.1.5",
             command_bits=COMMAND_BITS,
