@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mimic.config.play import RAMP
-from mimic.config.ranges import check_range
+from mimic.config.ranges import Limited, within
 
 TETHER_TORQUE = 9.0
 """Largest torque of each motor on a rope [N m]."""
@@ -15,7 +15,7 @@ TETHER_RAMP = 6.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class WiringSettings:
+class WiringSettings(Limited):
     """What any command needs to know of a robot."""
 
     wiring: str | None = None
@@ -52,7 +52,7 @@ class DriveSettings(LookSettings):
 class BusSettings(DriveSettings):
     """How a robot is driven by a policy."""
 
-    ramp: float = RAMP
+    ramp: float = within(RAMP, 0.5, 30.0, "s")
     """Time to raise the gains and move into the crouch [s]; a test of each joint follows."""
     dry_run: bool = False
     """CAN: run pre-flight, policy, timing and log, with the motors off."""
@@ -61,9 +61,6 @@ class BusSettings(DriveSettings):
     0.4 s."""
     hold: str | None = None
     """Run only while this is held: key (any key in this terminal), or a gamepad such as /dev/input/js0."""
-
-    def __post_init__(self) -> None:
-        check_range("ramp", self.ramp, 0.5, 30.0, "s")
 
     @property
     def start_ramp(self) -> float:
@@ -77,33 +74,25 @@ class BusSettings(DriveSettings):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ProbeSettings:
+class ProbeSettings(Limited):
     """How a suspended robot is moved to measure its drives."""
 
-    seconds: float = 120.0
+    seconds: float = within(120.0, 12.0, 3600.0, "s")
     """Length of the motion [s]."""
-    rate_hz: float = 200.0
+    rate_hz: float = within(200.0, 50.0, 250.0, "Hz")
     """Readings per second [Hz]; at 200 Hz twelve motors use 70 % of one bus."""
     joints: Literal["all", "sides", "legs", "each"] = "all"
     """Joints that move at the same time: all, the six of one side, those of one leg, or one. Resting legs are read
     less often, which reduces the bus load."""
-    amplitude: float = 0.5
+    amplitude: float = within(0.5, 0.05, 1.0)
     """Share of the joint ranges to use."""
     kind: Literal["probe", "random"] = "probe"
     """probe excites every effect; random is for a second log."""
-    kp: float = 30.0
+    kp: float = within(30.0, 1.0, 100.0, "N m/rad")
     """Position gain [N m/rad]."""
-    kd: float = 1.0
+    kd: float = within(1.0, 0.1, 5.0, "N m s/rad")
     """Velocity gain [N m s/rad]."""
-    approach: float = 3.0
+    approach: float = within(3.0, 0.2, 60.0, "s")
     """Time to raise the gains, and again to move to the start of the motion [s]."""
     seed: int = 0
     """Seed of the motion."""
-
-    def __post_init__(self) -> None:
-        check_range("seconds", self.seconds, 12.0, 3600.0, "s")
-        check_range("rate-hz", self.rate_hz, 50.0, 250.0, "Hz")
-        check_range("approach", self.approach, 0.2, 60.0, "s")
-        check_range("amplitude", self.amplitude, 0.05, 1.0)
-        check_range("kp", self.kp, 1.0, 100.0, "N m/rad")
-        check_range("kd", self.kd, 0.1, 5.0, "N m s/rad")

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from mimic.config.ranges import check_range
+from mimic.config.ranges import Limited, within
 
 DEFAULT_ROBOT = "cyberdog2"
 """The robot where none is named."""
@@ -18,46 +18,37 @@ TRIM = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RunSettings:
+class RunSettings(Limited):
     """Timing of a run, and its policy."""
 
     policy: str | None = None
     """ONNX file; default: the shipped policy."""
     seed: int = 0
     """Seed of the simulated start."""
-    stand_up: float = 2.0
+    stand_up: float = within(2.0, 1.0, 10.0, "s")
     """Time from lying to the first target [s]; the policy stands up in about 1 s."""
-    blend: float = 0.5
+    blend: float = within(0.5, 0.1, 5.0, "s")
     """Time to move from the measured toes to the first target [s]."""
-    hold_last: float = 1.0
+    hold_last: float = within(1.0, 0.0, 30.0, "s")
     """Time to hold the last target [s]."""
-    sit_down: float = 2.5
+    sit_down: float = within(2.5, 1.5, 10.0, "s")
     """Time to sit down at the end [s]; the policy needs about half."""
     hold_position: bool = True
     """Bring a robot that drifts back to where it stood, and let it come as far as it is asked to, by leg odometry."""
     arms: Literal["network", "inverse_kinematics"] | None = None
     """Who moves the front legs; default: what the policy's contract says."""
 
-    def __post_init__(self) -> None:
-        check_range("stand-up", self.stand_up, 1.0, 10.0, "s")
-        check_range("blend", self.blend, 0.1, 5.0, "s")
-        check_range("hold-last", self.hold_last, 0.0, 30.0, "s")
-        check_range("sit-down", self.sit_down, 1.5, 10.0, "s")
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class EffectsSettings:
+class EffectsSettings(Limited):
     """Which robot is simulated, and its calibrated effects."""
 
     robot_model: str = DEFAULT_ROBOT
     """cyberdog2, go2, or the folder of another robot with its robot.toml and MJCF."""
     effects: str | None = None
     """effects.toml of a calibration; default: no effects."""
-    timestep: float = 0.0025
+    timestep: float = within(0.0025, 2.5e-4, 0.01, "s")
     """Physics step with effects [s]."""
-
-    def __post_init__(self) -> None:
-        check_range("timestep", self.timestep, 2.5e-4, 0.01, "s")
 
 
 AS_DESCRIBED = EffectsSettings()
@@ -65,18 +56,18 @@ AS_DESCRIBED = EffectsSettings()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Disturbance:
+class Disturbance(Limited):
     """Disturbances of a simulated robot besides its variation; none by default."""
 
     toe: Literal["left", "right"] = "left"
     """Front toe that carries and is dragged."""
-    toe_payload: float = 0.0
+    toe_payload: float = within(0.0, 0.0, 5.0, "kg")
     """Mass at that toe [kg]."""
-    drag: float = 0.0
+    drag: float = within(0.0, 0.0, 100.0, "N")
     """Horizontal force on that toe [N]."""
     drag_way: Literal["any", "sideways", "forward", "backward", "left", "right"] = "any"
     """Its direction: drawn for each start, or as the belly faces when it begins; sideways is left or right."""
-    drag_ramp: float = 0.0
+    drag_ramp: float = within(0.0, 0.0, 60.0, "s")
     """Time in which it grows to that [s]."""
     drag_from: float = 4.0
     """When the force begins [s]."""
@@ -84,34 +75,22 @@ class Disturbance:
     """How long it lasts [s]."""
     push_way: Literal["any", "fore-aft", "sideways"] = "any"
     """Direction of pushes (Randomisation.push): drawn, or seen from where the belly faces."""
-    slope: float = 0.0
+    slope: float = within(0.0, 0.0, 30.0, "deg")
     """Inclination of the ground, falling in a direction drawn for each start [deg]."""
-    imu_tilt: float = 0.0
+    imu_tilt: float = within(0.0, 0.0, 30.0, "deg")
     """Mounting error of the IMU [deg]."""
     imu_axis: Literal["any", "pitch"] = "any"
     """Its axis: drawn for each start, or the base's y axis, either way around."""
-    noise_q: float = 0.0
+    noise_q: float = within(0.0, 0.0, 1.0, "rad")
     """Half width of the noise on measured joint positions, drawn at each control step [rad]."""
-    noise_imu: float = 0.0
+    noise_imu: float = within(0.0, 0.0, 1.0, "rad")
     """Half width of the noise on the measured orientation about each axis, drawn at each control step [rad]."""
-    noise_gyro: float = 0.0
+    noise_gyro: float = within(0.0, 0.0, 10.0, "rad/s")
     """… on the measured angular velocity [rad/s]."""
-    noise_dq: float = 0.0
+    noise_dq: float = within(0.0, 0.0, 10.0, "rad/s")
     """… on measured joint velocities [rad/s]."""
-    lost_share: float = 0.0
+    lost_share: float = within(0.0, 0.0, 1.0)
     """Probability that a command is dropped; the one before stays in effect."""
-
-    def __post_init__(self) -> None:
-        check_range("toe-payload", self.toe_payload, 0.0, 5.0, "kg")
-        check_range("drag", self.drag, 0.0, 100.0, "N")
-        check_range("drag-ramp", self.drag_ramp, 0.0, 60.0, "s")
-        check_range("slope", self.slope, 0.0, 30.0, "deg")
-        check_range("imu-tilt", self.imu_tilt, 0.0, 30.0, "deg")
-        check_range("noise-q", self.noise_q, 0.0, 1.0, "rad")
-        check_range("noise-imu", self.noise_imu, 0.0, 1.0, "rad")
-        check_range("noise-gyro", self.noise_gyro, 0.0, 10.0, "rad/s")
-        check_range("noise-dq", self.noise_dq, 0.0, 10.0, "rad/s")
-        check_range("lost-share", self.lost_share, 0.0, 1.0)
 
 
 NO_DISTURBANCE = Disturbance()
@@ -119,21 +98,17 @@ NO_DISTURBANCE = Disturbance()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Solver:
+class Solver(Limited):
     """Integration of the physics; the defaults are those of the robot description."""
 
-    timestep: float = 0.0025
+    timestep: float = within(0.0025, 1e-4, 0.02, "s")
     """Physics step [s]; the control step must be a multiple of it."""
     integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     """Shape of the friction cones."""
-    impratio: float = 100.0
+    impratio: float = within(100.0, 0.1, 100.0)
     """How much stiffer contacts are against sliding than against sinking; at 1, MuJoCo's default, a loaded foot creeps.
     MuJoCo Menagerie's models of legged robots have 100."""
-
-    def __post_init__(self) -> None:
-        check_range("timestep", self.timestep, 1e-4, 0.02, "s")
-        check_range("impratio", self.impratio, 0.1, 100.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

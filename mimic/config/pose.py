@@ -6,21 +6,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from mimic.config.ranges import check_range
+from mimic.config.ranges import Limited, within
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PoseSettings:
+class PoseSettings(Limited):
     """How landmarks are found in a video."""
 
-    min_visibility: float = 0.5
+    min_visibility: float = within(0.5, 0.0, 1.0)
     """Minimum visibility of a detected landmark."""
-    min_person_share: float = 0.3
+    min_person_share: float = within(0.3, 0.0, 1.0)
     """Minimum share of frames that show both shoulders and a wrist: 0.60-1.00 on real clips, 0.02-0.11 on clips without
     a person."""
-    person: Literal["left", "right", "largest"] | int | None = None
+    person: Literal["left", "right", "largest"] | int | None = within(None, 1, 5)
     """Person to follow if a video shows several: position in the first frame, or number from the left."""
-    cutoff_hz: float = 6.0
+    cutoff_hz: float = within(6.0, 0.5, 30.0, "Hz")
     """Cut-off of the zero-phase Butterworth filter over the landmarks [Hz]."""
     depth: bool = True
     """Estimate the depth of the arms with a network; otherwise use the detector's."""
@@ -28,16 +28,9 @@ class PoseSettings:
     """A second video of the same person at the same time, from another side: its picture shows the depth that the first
     one hardly sees. Both start within 2 s."""
 
-    def __post_init__(self) -> None:
-        check_range("min-visibility", self.min_visibility, 0.0, 1.0)
-        check_range("min-person-share", self.min_person_share, 0.0, 1.0)
-        check_range("cutoff-hz", self.cutoff_hz, 0.5, 30.0, "Hz")
-        if isinstance(self.person, int):
-            check_range("person", self.person, 1, 5)
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MocapSettings:
+class MocapSettings(Limited):
     """What a file of recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt) does not state."""
 
     names: tuple[str, ...] = ()
@@ -46,15 +39,12 @@ class MocapSettings:
     """Layout of points without names, such as coco17 or smpl24; default: from their number."""
     up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = "auto"
     """Axis that points up; auto: that along the torso."""
-    fps: float = 0.0
+    fps: float = within(0.0, 0.0, 10_000.0)
     """Frame rate [Hz]; 0 uses the times in the file."""
-
-    def __post_init__(self) -> None:
-        check_range("fps", self.fps, 0.0, 10_000.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LanguageSettings:
+class LanguageSettings(Limited):
     """How a sentence becomes key frames."""
 
     planner: Literal["auto", "llm", "grammar"] = "auto"
@@ -64,35 +54,25 @@ class LanguageSettings:
     OPENAI_API_KEY."""
     llm_model: str | None = None
     """Name of the language model."""
-    llm_timeout: float = 120.0
+    llm_timeout: float = within(120.0, 0.1, 3600.0, "s")
     """Timeout of an answer [s]."""
-    llm_tokens: int = 8000
+    llm_tokens: int = within(8000, 100, 100_000)
     """Longest answer that is asked for [tokens]; fewer keep a small local model from rambling."""
-    longest: float = 60.0
+    longest: float = within(60.0, 1.0, 600.0, "s")
     """Maximum length of the motion [s]."""
-
-    def __post_init__(self) -> None:
-        check_range("llm-timeout", self.llm_timeout, 0.1, 3600.0, "s")
-        check_range("llm-tokens", self.llm_tokens, 100, 100_000)
-        check_range("longest", self.longest, 1.0, 600.0, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LiveSettings:
+class LiveSettings(Limited):
     """How the robot follows a camera in real time."""
 
     follow: bool = False
     """Turn and walk slowly with the person; otherwise the robot stays where it is."""
-    lost_hold: float = 0.5
+    lost_hold: float = within(0.5, 0.0, 10.0, "s")
     """How long the target of a lost hand is held before the arm goes down to hang [s]."""
-    min_cutoff: float = 1.5
+    min_cutoff: float = within(1.5, 0.1, 30.0, "Hz")
     """Minimum cut-off of the One-Euro filter [Hz]; lower means less jitter and more lag."""
-    beta: float = 8.0
+    beta: float = within(8.0, 0.0, 100.0)
     """Speed coefficient of the One-Euro filter: rise of the cut-off with the speed of the hand [Hz s/m]."""
     camera_size: tuple[int, int] = (640, 480)
     """Requested width and height of the camera picture [px]."""
-
-    def __post_init__(self) -> None:
-        check_range("lost-hold", self.lost_hold, 0.0, 10.0, "s")
-        check_range("min-cutoff", self.min_cutoff, 0.1, 30.0, "Hz")
-        check_range("beta", self.beta, 0.0, 100.0)

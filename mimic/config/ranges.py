@@ -1,8 +1,28 @@
-"""Checks that settings share."""
+"""Limits of settings."""
 
 from __future__ import annotations
 
+from dataclasses import field, fields
+from typing import Any
+
 from mimic.errors import ConfigError
+
+
+def within(default: float | str | None, low: float, high: float, unit: str = "") -> Any:
+    """Return a field of `Limited` settings, whose numbers lie between limits, ends included."""
+    return field(default=default, metadata={"limits": (low, high, unit)})
+
+
+class Limited:
+    """Settings of which those that are `within` limits are checked, unless they are text or None."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        for f in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, f.name)
+            if "limits" in f.metadata and isinstance(value, int | float):
+                check_range(f.name.replace("_", "-"), value, *f.metadata["limits"])
 
 
 def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:

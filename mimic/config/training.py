@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from mimic.config.play import Randomisation
-from mimic.config.ranges import check_range
+from mimic.config.ranges import Limited, check_range, within
 from mimic.config.rewards import FinishFactors, RewardWeights
 from mimic.errors import ConfigError
 
@@ -93,18 +93,18 @@ UNDISTURBED = DisturbanceRanges(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MdpSettings:
+class MdpSettings(Limited):
     """The worlds a policy is trained in."""
 
     task: Literal["stand_track", "sit_down"] = "stand_track"
     """What is trained: stand, track and walk, or sit down."""
-    worlds: int = 16384
+    worlds: int = within(16384, 1, 1_000_000)
     """Robots simulated at once, on all GPUs together."""
     effects: str = ""
     """effects.toml of a calibration, around which the robots are drawn; empty draws them around the description."""
-    timestep: float = 0.004
+    timestep: float = within(0.004, 0.0, 0.01, "s")
     """Physics step [s]; 0 is that of the description."""
-    episode_steps: int = 1000
+    episode_steps: int = within(1000, 100, 100_000)
     """Control steps of an episode; the paper's."""
     upright_share: float = 0.25
     """Share of episodes that start upright, once the robot stands."""
@@ -120,7 +120,7 @@ class MdpSettings:
     """Share of commands to stand: no velocity, and the heading as it is."""
     still_share: float = 0.2
     """Share of the other commands that have no velocity; the same that keep the heading."""
-    fastest: float = 0.7
+    fastest: float = within(0.7, 0.1, 3.0, "m/s")
     """Fastest velocity command, forward and back [m/s]; paper: 0.3."""
     hold_share: float = 0.3
     """Probability that an arm stays where it is while the other one may move."""
@@ -146,15 +146,15 @@ class MdpSettings:
     """Half width of the noise on joint velocities [rad/s]; CyberGear drives step by 0.001, and lag by milliseconds."""
     noise_least: float = -0.5
     """Each episode has a share of the noise, drawn evenly from this to 1; less than 0 is none."""
-    solver_iterations: int = 8
+    solver_iterations: int = within(8, 1, 200)
     """Newton iterations of the training physics; the evaluation uses MuJoCo's 100. With an impratio of 100, after 0.2 s
     of a policy in steps of 4 ms, nine of ten of 16 worlds are within 4e-3 rad of the state that 100 iterations give and
     the worst 2e-2 away; 6: 1e-2 and 2e-2; 4: 4e-2 and 4e-2; 12: 1e-6 and 7e-6. With 6 instead of 20 line searches 8
     give 3e-2 and 5e-2."""
-    friction_speed: float = 0.1
+    friction_speed: float = within(0.1, 0.0, 10.0, "rad/s")
     """Joint speed at which half of the dry friction acts [rad/s]: f dq / (|dq| + this), implicit as damping
     is. 0 takes MuJoCo's own constraints, 12 of the 16 rows that the solver has on average, as the evaluation does."""
-    quiet_share: float = 0.4
+    quiet_share: float = within(0.4, 0.0, 1.0)
     """Share of the worlds that are quiet: a robot of the paper's Table II, its centre of mass up to 15 mm and its IMU
     up to 2 degrees off, on level ground of any stiffness that nobody pulls, with small pushes. Among disturbed worlds
     alone standing still is hardly seen, and not learned. The task sit_down has none."""
@@ -190,16 +190,10 @@ class MdpSettings:
     """Control steps of a world between which these factors grow from 1."""
 
     def __post_init__(self) -> None:
+        Limited.__post_init__(self)
         if self.task not in ("stand_track", "sit_down"):
             raise ConfigError(f"task is {self.task!r}; expected stand_track or sit_down")
-        check_range("worlds", self.worlds, 1, 1_000_000)
-        check_range("timestep", self.timestep, 0.0, 0.01, "s")
-        check_range("fastest", self.fastest, 0.1, 3.0, "m/s")
-        check_range("friction-speed", self.friction_speed, 0.0, 10.0, "rad/s")
-        check_range("quiet-share", self.quiet_share, 0.0, 1.0)
         check_range("limp-share and ramped-share together", self.limp_share + self.ramped_share, 0.0, 1.0)
-        check_range("episode-steps", self.episode_steps, 100, 100_000)
-        check_range("solver-iterations", self.solver_iterations, 1, 200)
         for name, (begin, end) in (("finish-steps", self.finish_steps), ("rest-steps", self.rest_steps)):
             if not begin < end:
                 raise ConfigError(
@@ -212,14 +206,14 @@ ENDLESS = 100_000_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LearnSettings:
+class LearnSettings(Limited):
     """PPO and the training run."""
 
-    iterations: int = 0
+    iterations: int = within(0, 0, ENDLESS)
     """Most policy updates, together with those before --resume; 0 does not limit them."""
-    minutes: float = 23.0
+    minutes: float = within(23.0, 0.0, 1e6)
     """Stop after this wall-clock time, together with that before --resume [min]; 0 does not stop."""
-    session_minutes: float = 0.0
+    session_minutes: float = within(0.0, 0.0, 1e6)
     """Stop this session after this time, for another one that resumes last.pt [min]; 0 does not stop."""
     seed: int = 1
     """Of worlds, commands, network and actions."""
@@ -244,7 +238,7 @@ class LearnSettings:
     """… and at the end; in between it falls geometrically, so that the spread of the actions narrows late."""
     std_range: tuple[float, float] = (0.03, 1.2)
     """Smallest and largest spread of the actions [units of action]."""
-    resume_std: float = 0.2
+    resume_std: float = within(0.2, 1e-3, 10.0)
     """Spread of the actions with which a training goes on from a policy (.onnx)."""
     critic_updates: int = 250
     """Updates in which only the critic learns, where a training goes on from a policy (.onnx), which has none. After 40
@@ -256,10 +250,7 @@ class LearnSettings:
     loss was as large as PPO's own, and front toes did not learn to follow their goals."""
 
     def __post_init__(self) -> None:
-        check_range("iterations", self.iterations, 0, ENDLESS)
-        check_range("minutes", self.minutes, 0.0, 1e6)
-        check_range("session-minutes", self.session_minutes, 0.0, 1e6)
-        check_range("resume-std", self.resume_std, 1e-3, 10.0)
+        Limited.__post_init__(self)
         if not self.iterations and not self.minutes:
             raise ConfigError("iterations and minutes are both 0; set one, or the training never ends")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from mimic.config.evaluation import EpisodeSettings
 from mimic.config.leading import LONGEST_WATCH, HandSettings, LeadingSettings
 from mimic.config.play import Randomisation
-from mimic.config.ranges import check_range
+from mimic.config.ranges import Limited, check_range, within
 
 FRESH_SEED = 1_000_001
 """Seed of episodes that are for judging only; policies are chosen on seeds below 1 000 000."""
@@ -17,54 +17,45 @@ FRESH_SEED = 1_000_001
 class TableSettings(EpisodeSettings):
     """Evaluation of a policy in the figures of the paper's Table III."""
 
-    episodes: int = 50
+    episodes: int = within(50, 1, 100_000)
     """Episodes of each evaluation seed; paper: 50."""
-    seeds: int = 3
+    seeds: int = within(3, 1, 1000)
     """Evaluation seeds. The paper's three are training seeds."""
-    seconds: float = 20.0
+    seconds: float = within(20.0, 2.0, 600.0, "s")
     """Length of an episode [s]; paper: 1000 control steps."""
     seed: int = FRESH_SEED
     """Seed of the first episode."""
     senses: tuple[str, ...] = ("the paper's noise", "a third of it", "no noise", "deaf to velocity")
     """What the policy senses; each is a row of its own. The first one counts."""
-    walks: int = 3
+    walks: int = within(3, 0, 1000)
     """Walks at each asked speed, with still and with moving arms; no more than ``episodes``."""
-
-    def __post_init__(self) -> None:
-        check_range("seeds", self.seeds, 1, 1000)
-        check_range("walks", self.walks, 0, 1000)
-        self.check_episodes(2.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalmSettings(EpisodeSettings):
     """Evaluation of standing without commands, and of pushes while standing."""
 
-    episodes: int = 20
+    episodes: int = within(20, 1, 100_000)
     """Randomised robots that stand."""
-    seconds: float = 60.0
+    seconds: float = within(60.0, 5.0, 3600.0, "s")
     """For how long [s]."""
     pushes: tuple[float, ...] = (0.5, 0.8)
     """Speeds of a push, fore and aft and sideways, at any phase of the gait [m/s]."""
     pulls: tuple[float, ...] = (7.5, 10.0)
     """Pulls at a front toe that grow within 1.5 s, forward, backward, left and right [N]."""
-    pushed_episodes: int = 50
+    pushed_episodes: int = within(50, 1, 100_000)
     """Robots that are pushed or pulled once, of each kind."""
     seed: int = FRESH_SEED
     """Seed of the first episode."""
-
-    def __post_init__(self) -> None:
-        self.check_episodes(5.0, 3600.0)
-        check_range("pushed-episodes", self.pushed_episodes, 1, 100_000)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrunkSettings(EpisodeSettings):
     """Evaluation of crouching and leaning."""
 
-    episodes: int = 20
+    episodes: int = within(20, 1, 100_000)
     """Randomised robots for each case."""
-    seconds: float = 12.0
+    seconds: float = within(12.0, 8.0, 600.0, "s")
     """Length of each [s]."""
     cases: tuple[tuple[float, float, bool], ...] = (
         (0.0, 0.0, False),
@@ -85,15 +76,12 @@ class TrunkSettings(EpisodeSettings):
     seed: int = FRESH_SEED
     """Seed of the first episode."""
 
-    def __post_init__(self) -> None:
-        self.check_episodes(8.0, 600.0)
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LeadSettings(EpisodeSettings):
     """Evaluation of being led by the hand, by either front toe in any direction."""
 
-    episodes: int = 40
+    episodes: int = within(40, 1, 100_000)
     """Randomised robots."""
     seconds: float = 32.0
     """Length of each [s]; what is left of it when the hand has let go is watched."""
@@ -105,7 +93,8 @@ class LeadSettings(EpisodeSettings):
     """Seed of the first episode."""
 
     def __post_init__(self) -> None:
-        self.check_episodes(self.hand.end + 2.0, self.hand.end + LONGEST_WATCH)
+        Limited.__post_init__(self)
+        check_range("seconds", self.seconds, self.hand.end + 2.0, self.hand.end + LONGEST_WATCH, "s")
         object.__setattr__(self, "hand", replace(self.hand, after=self.seconds - self.hand.end))
 
 
@@ -124,29 +113,22 @@ STAND_UP_RANGES = Randomisation(
 class StandUpSettings(EpisodeSettings):
     """Evaluation of standing up and of standing still."""
 
-    episodes: int = 500
+    episodes: int = within(500, 1, 100_000)
     """Lying starts."""
-    seconds: float = 3.0
+    seconds: float = within(3.0, 2.5, 600.0, "s")
     """Length of each [s]; who stands up must still stand at its end."""
     still_episodes: int = 10
     """Nominal robots that stand still."""
-    still_seconds: float = 20.0
+    still_seconds: float = within(20.0, 1.0, 600.0, "s")
     """For how long [s], from the second second on."""
     randomisation: Randomisation = STAND_UP_RANGES
-
-    def __post_init__(self) -> None:
-        self.check_episodes(2.5)
-        check_range("still-seconds", self.still_seconds, 1.0, 600.0, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobustnessSettings(EpisodeSettings):
     """How much disturbance a policy survives."""
 
-    episodes: int = 40
+    episodes: int = within(40, 1, 100_000)
     """Episodes at each point; the same starts and commands at every point."""
-    seconds: float = 10.0
+    seconds: float = within(10.0, 2.5, 600.0, "s")
     """Length of an episode [s]."""
-
-    def __post_init__(self) -> None:
-        self.check_episodes(2.5)
