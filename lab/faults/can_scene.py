@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from lab.faults.trouble import Trouble, halt
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import EmulatedSenderLink
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import EmulatedFault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.motor_frames import encode_answer
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, FrameError
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.frame import CanFrame, Received

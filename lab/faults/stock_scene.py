@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from lab.faults.trouble import Trouble, halt
+from lab.in_process.board_bus import EmulatedBoardBus, EmulatedGo2Bus
+from lab.in_process.sender_link import EmulatedSenderLink
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.boards.board import EmulatedBoard
-from mimic.emulator.boards.board_bus import EmulatedBoardBus
-from mimic.emulator.boards.go2 import EmulatedGo2, EmulatedGo2Bus
+from mimic.emulator.boards.go2 import EmulatedGo2
 from mimic.emulator.faults import EmulatedFault
-from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.hardware.go2.driver import GONE_ON, OWN_MODE, RESTED, Go2Driver
 from mimic.hardware.go2.driver import UNREACHED as GO2_UNREACHED
 from mimic.hardware.go2.messages import LOWCMD, blank, encode

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.in_process.sender_link import EmulatedSenderLink
 from lab.unitree_mujoco.__main__ import checksum, network, starts, wiring_file
 from lab.unitree_mujoco.bridge import LockstepBus, NotHere, load
-from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import AssetError
 from mimic.hardware.go2.driver import Go2Driver
 from mimic.hardware.go2.wiring import load_go2

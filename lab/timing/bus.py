@@ -17,8 +17,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lab.in_process.can_link import EmulatedLink
 from mimic.config.emulator import EmulateSettings
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.hardware.can.frame import CanFrame, Link
 from mimic.hardware.can.opening import open_link

@@ -27,11 +27,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from lab.in_process.sender_link import EmulatedSenderLink
 from lab.unitree_mujoco.bridge import STEP, LockstepBus, NotHere, load, model_of
 from mimic.config.play import RunSettings
 from mimic.control.safety.supervisor import Supervisor
 from mimic.control.tick import Safety
-from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import AssetError, MimicError
 from mimic.flows.play import load_source, play
 from mimic.hardware.go2.driver import Go2Driver

@@ -1,7 +1,7 @@
 """The emulated robot: motors, IMU and body on one or more buses, in its own time.
 
 Its owner advances the time: a server lets it follow the clock on the wall (`mimic.emulator.server`), a
-link in the same process lets it run as fast as it can be computed (`mimic.emulator.link`) and repeatably.
+link in the same process lets it run as fast as it can be computed, and repeatably.
 """
 
 from __future__ import annotations

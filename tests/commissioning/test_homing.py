@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
 from mimic.commissioning.homing import check_lying, home, joint_angles
 from mimic.config.emulator import EmulateSettings
 from mimic.dynamics.lying import sunk_pose
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import AssetError, PlantError
 from mimic.hardware.can.preflight import at_rest

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.in_process.board_bus import EmulatedBoardBus
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import EmulatedSenderLink, robot_on_can
 from mimic.commissioning.probe import probe
 from mimic.commissioning.probe_motion import GROUPS, asked_rates, probe_motion, recorded_motion, turns
 from mimic.config.emulator import EmulateSettings
@@ -15,11 +18,8 @@ from mimic.control.signals import Signals
 from mimic.dynamics.excitation import hung_ranges
 from mimic.dynamics.machine import hung_robot, with_gains
 from mimic.emulator.boards.board import EmulatedBoard
-from mimic.emulator.boards.board_bus import EmulatedBoardBus
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import EmulatedSenderLink, robot_on_can
 from mimic.errors import ConfigError, PlantError
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.preflight import preflight

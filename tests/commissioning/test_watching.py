@@ -7,13 +7,13 @@ import re
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import robot_on_can
 from mimic.commissioning.watching import Watcher
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import robot_on_can
 from mimic.flows.watching import watch_robot
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock

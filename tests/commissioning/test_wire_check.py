@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lab.in_process.can_link import EmulatedLink
 from mimic.commissioning import wire_check
 from mimic.commissioning.wire_check import mounting
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.robot.wiring import wire_robot

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import robot_on_can
 from mimic.config.emulator import EmulateSettings
 from mimic.control.plant import Plant
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import robot_on_can
 from mimic.geometry import up_cosine
 from mimic.hardware.can.wiring import load_wiring
 from mimic.records import JointCommand

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.motor import ROTOR_TURN, DetailedFault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, ConfigError

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import EmulatedSenderLink, robot_on_can
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import TETHER_RAMP, TETHER_TORQUE, BusSettings
 from mimic.config.play import RunSettings
@@ -14,9 +16,7 @@ from mimic.control.loop import run_policy
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import EmulatedSenderLink, robot_on_can
 from mimic.errors import ConfigError, PlantError
 from mimic.evaluation.policy import command_script
 from mimic.hardware import session

@@ -7,13 +7,13 @@ from contextlib import nullcontext
 
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import EmulatedSenderLink
 from mimic.commissioning.homing import home
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, PlantError
 from mimic.hardware import session
 from mimic.hardware.can import open_driver

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from mimic.emulator.boards.board_base import MESSAGE_FAULTS, NetworkBoard
-from mimic.emulator.boards.board_bus import EmulatedBoardBus
 from mimic.emulator.faults import MISWIRED
 from mimic.emulator.motor import FREE, LEAST_TORQUE, Drive
 from mimic.errors import FrameError
@@ -217,29 +216,3 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
             "silences": f"{self.silences} times without a command for {TIMEOUT:g} s while motors were driven",
             "its own mode": mode,
         }
-
-
-class EmulatedGo2Bus(EmulatedBoardBus):
-    """An emulated Go2 as the bus of `mimic.hardware.go2.driver`, in the robot's own time."""
-
-    rivals: Sequence[str] = ()
-    """Who else may write commands."""
-    robots: Sequence[str] = ("this robot",)
-    """Who writes readings."""
-
-    def ready(self, topic: str) -> bool:
-        """Return True: the robot hears everything."""
-        return True
-
-    def others(self, topic: str = LOWCMD) -> list[str]:
-        """Return who else may write a topic."""
-        return list(self.rivals if topic == LOWCMD else self.robots)
-
-    def publish(self, channel: str, data: bytes) -> None:
-        """Send a message."""
-        self.board.take(channel, data, self.now())
-
-    def foreign(self, data: bytes) -> None:
-        """Let another program send a command."""
-        self.publish(LOWCMD, data)
-        self.heard(LOWCMD, data, self.now())

@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import EmulatedSenderLink
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.config.play import RunSettings
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.flows.reporter import SilentReporter
 from mimic.flows.robot import robot_run as flow
 from mimic.flows.robot.operator import Operator

@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import robot_on_can
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.control.safety.safety_rules import RULES
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import robot_on_can
 from mimic.errors import BusError, PlantError
 from mimic.flows.robot import commissioning
 from mimic.hardware import session

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
 from mimic.commissioning.homing import home
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.preflight import preflight

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import robot_on_can
 from mimic.config.emulator import EmulateSettings
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import robot_on_can
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.step_budget import PARTS, SPARE, step_budget

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.in_process.board_bus import EmulatedGo2Bus
+from lab.in_process.sender_link import EmulatedSenderLink
 from mimic.config.emulator import EmulateSettings
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import Supervisor
-from mimic.emulator.boards.go2 import EmulatedGo2, EmulatedGo2Bus
+from mimic.emulator.boards.go2 import EmulatedGo2
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import FrameError, PlantError, SenderError
 from mimic.hardware.go2.driver import GONE_ON, RESTED, UNREACHED, Go2Driver
 from mimic.hardware.go2.messages import LOWCMD, LOWSTATE, blank, decode, encode

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
 from mimic.config.emulator import EmulateSettings
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.bus import MotorBus

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
 from mimic.config.emulator import EmulateSettings
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import PlantError
 from mimic.hardware.can.wiring import load_wiring

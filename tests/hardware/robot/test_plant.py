@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.in_process.can_link import EmulatedLink
+from lab.in_process.sender_link import robot_on_can
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import robot_on_can
 from mimic.errors import BusError, PlantError, SenderError
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.cybergear.parameters import CAN_TIMEOUT, LIMIT_TORQUE

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.in_process.board_bus import EmulatedBoardBus
+from lab.in_process.sender_link import EmulatedSenderLink
 from mimic.config.emulator import EmulateSettings
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
 from mimic.emulator.boards.board import EmulatedBoard
-from mimic.emulator.boards.board_bus import EmulatedBoardBus
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import PlantError, SenderError
 from mimic.hardware.robot.checks import refuse
 from mimic.hardware.robot.driver import CheckOptions

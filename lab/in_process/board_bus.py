@@ -1,11 +1,12 @@
-"""An emulated motion board as the bus of `mimic.hardware.stock.driver`, in the board's own time."""
+"""Emulated motion boards as the buses of their drivers, in the board's own time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mimic.emulator.boards.board_base import TICK, NetworkBoard
+from mimic.hardware.go2.messages import LOWCMD
 from mimic.hardware.robot.board import Bus
 from mimic.hardware.stock.messages import MOTOR_CTRL
 
@@ -43,3 +44,29 @@ class EmulatedBoardBus(Bus):
 
     def close(self) -> None:
         """Leave the network."""
+
+
+class EmulatedGo2Bus(EmulatedBoardBus):
+    """An emulated Go2 as the bus of `mimic.hardware.go2.driver`, in the robot's own time."""
+
+    rivals: Sequence[str] = ()
+    """Who else may write commands."""
+    robots: Sequence[str] = ("this robot",)
+    """Who writes readings."""
+
+    def ready(self, topic: str) -> bool:
+        """Return True: the robot hears everything."""
+        return True
+
+    def others(self, topic: str = LOWCMD) -> list[str]:
+        """Return who else may write a topic."""
+        return list(self.rivals if topic == LOWCMD else self.robots)
+
+    def publish(self, channel: str, data: bytes) -> None:
+        """Send a message."""
+        self.board.take(channel, data, self.now())
+
+    def foreign(self, data: bytes) -> None:
+        """Let another program send a command."""
+        self.publish(LOWCMD, data)
+        self.heard(LOWCMD, data, self.now())
