@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import mimic
-from mimic.config.play import Disturbance
 from mimic.simulation.plant import SimulatedPlant
 
 MOTION = Path(__file__).parent / "motions" / "step_and_wave.yaml"
@@ -18,7 +17,7 @@ def main(policy: str | None = None, payloads: tuple[float, ...] = (0.0, 0.5, 1.0
     motion = mimic.load_motion(MOTION)
     print("load [kg]  toe error [cm]  fell at [s]")
     for payload in payloads:
-        plant = SimulatedPlant(robot, seed=1, disturbance=Disturbance(toe="left", toe_payload=payload))
+        plant = SimulatedPlant(robot, seed=1, payloads={"FL": payload})
         run = mimic.play(motion, plant=plant, policy=policy)
         fell = run.metrics["fell_at_s"]
         print(

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from lab.policies.disturbed import NO_DISTURBANCE, Disturbance, DisturbedPlant
 from lab.policies.studies.senses import SENSES, SensingPolicy
-from mimic.config.play import NO_DISTURBANCE, NOMINAL, Disturbance, Randomisation, RunSettings
+from mimic.config.play import NOMINAL, Randomisation, RunSettings
 from mimic.control.loop import RunResult, run_policy
 from mimic.evaluation.episode import OF_EPISODES
 from mimic.flows.motions.motion import InputSettings, load_motion
@@ -74,7 +75,7 @@ class Stream:
 def play(case: Case, policy: Policy, description: RobotDescription, arms: str | None) -> RunResult:
     """Play a case in plain MuJoCo."""
     settings = RunSettings(arms=arms, hold_last=0.0)  # type: ignore[arg-type]
-    plant = SimulatedPlant(description, ranges=case.ranges, seed=case.seed, disturbance=case.disturbance, **OF_EPISODES)
+    plant = DisturbedPlant(description, ranges=case.ranges, seed=case.seed, disturbance=case.disturbance, **OF_EPISODES)
     if case.push is not None:
         begin = settings.stand_up + settings.blend + 0.5 * case.track.t[-1]
         plant.watch(_pusher(plant, case.push, begin))

@@ -56,62 +56,6 @@ AS_DESCRIBED = EffectsSettings()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Disturbance(Limited):
-    """Disturbances of a simulated robot besides its variation; none by default."""
-
-    toe: Literal["left", "right"] = "left"
-    """Front toe that carries and is dragged."""
-    toe_payload: float = within(0.0, 0.0, 5.0, "kg")
-    """Mass at that toe [kg]."""
-    drag: float = within(0.0, 0.0, 100.0, "N")
-    """Horizontal force on that toe [N]."""
-    drag_way: Literal["any", "sideways", "forward", "backward", "left", "right"] = "any"
-    """Its direction: drawn for each start, or as the belly faces when it begins; sideways is left or right."""
-    drag_ramp: float = within(0.0, 0.0, 60.0, "s")
-    """Time in which it grows to that [s]."""
-    drag_from: float = 4.0
-    """When the force begins [s]."""
-    drag_seconds: float = 3.0
-    """How long it lasts [s]."""
-    push_way: Literal["any", "fore-aft", "sideways"] = "any"
-    """Direction of pushes (Randomisation.push): drawn, or seen from where the belly faces."""
-    slope: float = within(0.0, 0.0, 30.0, "deg")
-    """Inclination of the ground, falling in a direction drawn for each start [deg]."""
-    imu_tilt: float = within(0.0, 0.0, 30.0, "deg")
-    """Mounting error of the IMU [deg]."""
-    imu_axis: Literal["any", "pitch"] = "any"
-    """Its axis: drawn for each start, or the base's y axis, either way around."""
-    noise_q: float = within(0.0, 0.0, 1.0, "rad")
-    """Half width of the noise on measured joint positions, drawn at each control step [rad]."""
-    noise_imu: float = within(0.0, 0.0, 1.0, "rad")
-    """Half width of the noise on the measured orientation about each axis, drawn at each control step [rad]."""
-    noise_gyro: float = within(0.0, 0.0, 10.0, "rad/s")
-    """… on the measured angular velocity [rad/s]."""
-    noise_dq: float = within(0.0, 0.0, 10.0, "rad/s")
-    """… on measured joint velocities [rad/s]."""
-    lost_share: float = within(0.0, 0.0, 1.0)
-    """Probability that a command is dropped; the one before stays in effect."""
-
-
-NO_DISTURBANCE = Disturbance()
-"""No disturbance."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Solver(Limited):
-    """Integration of the physics; the defaults are those of the robot description."""
-
-    timestep: float = within(0.0025, 1e-4, 0.02, "s")
-    """Physics step [s]; the control step must be a multiple of it."""
-    integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
-    cone: Literal["elliptic", "pyramidal"] = "elliptic"
-    """Shape of the friction cones."""
-    impratio: float = within(100.0, 0.1, 100.0)
-    """How much stiffer contacts are against sliding than against sinking; at 1, MuJoCo's default, a loaded foot creeps.
-    MuJoCo Menagerie's models of legged robots have 100."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Randomisation:
     """Ranges of the paper's Table II and of the start; a pair is uniform between its ends.
 

@@ -50,7 +50,7 @@ class DisturbanceRanges:
     """Factor on the time constant of the ground, which counts for half of a contact's (12 to 30 ms); nothing about a
     real floor's is known, and solvers differ. Quiet worlds have it too, and the next one."""
     friction_ratio: tuple[float, float] = (30.0, 100.0)
-    """MuJoCo's impratio (mimic.config.play.Solver), log-uniform; evaluations have 100."""
+    """MuJoCo's impratio, log-uniform; evaluations have 100."""
     slope: tuple[float, float] = (0.0, 5.0)
     """Inclination of the ground in any direction [deg]; pavements are built with 1-2, ramps with 3-5."""
     toe_payload: tuple[float, float] = (0.0, 0.3)

@@ -11,10 +11,8 @@ from typing import Any, TypeVar
 from mimic.config.evaluation import EpisodeSettings
 from mimic.config.play import (
     AS_DESCRIBED,
-    NO_DISTURBANCE,
     RAMP,
     TRIM,
-    Disturbance,
     EffectsSettings,
     Randomisation,
     RunSettings,
@@ -55,7 +53,6 @@ class Job:
     ranges: Randomisation
     """What the robot is drawn from."""
     robot: EffectsSettings = AS_DESCRIBED
-    disturbance: Disturbance = NO_DISTURBANCE
     speed: float | None = None
     """Forward speed throughout [m/s]; drawn where None."""
     turn: float | None = None
@@ -64,7 +61,7 @@ class Job:
     def plant(self, description: RobotDescription, **options: Any) -> SimulatedPlant:
         """Return the robot, with further options of a `SimulatedPlant`."""
         given: dict[str, Any] = {**OF_EPISODES, **plant_options(self.robot), **options}
-        return SimulatedPlant(description, ranges=self.ranges, seed=self.seed, disturbance=self.disturbance, **given)
+        return SimulatedPlant(description, ranges=self.ranges, seed=self.seed, **given)
 
 
 def _sits_down(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mimic.config.play import NO_DISTURBANCE, NOMINAL, Disturbance, EffectsSettings, Randomisation, Solver
+from mimic.config.play import NOMINAL, EffectsSettings, Randomisation
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.lying import sink
 from mimic.dynamics.machine import hung_robot
@@ -26,10 +26,8 @@ from mimic.dynamics.robot_model import (
 )
 from mimic.dynamics.servo import parameters_of, read_standing
 from mimic.errors import PlantError
-from mimic.geometry import heading_from_quat
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.description import RobotDescription, load_description, with_timestep
-from mimic.simulation.disturbances import Disturber, payloads
 from mimic.simulation.motors import LawMotors
 
 PhysicsObserver = Callable[[mujoco.MjModel, mujoco.MjData], None]
@@ -75,8 +73,8 @@ class SimulatedPlant:
         ranges: Randomisation = NOMINAL,
         seed: int = 0,
         samples: bool = True,
-        disturbance: Disturbance = NO_DISTURBANCE,
-        solver: Solver | None = None,
+        payloads: Mapping[str, float] | None = None,
+        timestep: float | None = None,
         effects: EffectSet | None = None,
         observer: PhysicsObserver | None = None,
         begin: float = 0.0,
@@ -87,30 +85,23 @@ class SimulatedPlant:
             ranges: What varies; the default is the robot as described.
             seed: Draws the variation, the start and the pushes.
             samples: Also record the joints at each physics step.
-            disturbance: Acts on the robot, or on its sensors.
-            solver: How the physics is integrated; by default as the description says, with effects in the steps
-                of EffectsSettings.
+            payloads: Mass that the toe of a leg carries [kg].
+            timestep: Physics step [s]; by default that of the description, with effects that of EffectsSettings.
             effects: Of a calibration; the drive law with them then replaces the native motors.
             observer: Called after each physics step.
             begin: Time at which it lies without power [s]; pushes and pulls are later than 0.
 
         Raises:
-            ConfigError: If the control step is no multiple of the solver's step, or the effects are not of this robot.
+            ConfigError: If the control step is no multiple of the physics step, or the effects are not of this robot.
         """
-        if effects is not None and solver is None:
-            solver = Solver(timestep=EffectsSettings().timestep)
-        self._description = description if solver is None else with_timestep(description, solver.timestep)
-        self._disturbance = disturbance
+        if effects is not None and timestep is None:
+            timestep = EffectsSettings().timestep
+        self._description = description if timestep is None else with_timestep(description, timestep)
         self._motors = None if effects is None else LawMotors(self._description, effects)
-        kind = {"visuals": False, "payloads": payloads(disturbance), "driven": effects is not None}
+        kind = {"visuals": False, "payloads": payloads, "driven": effects is not None}
         self._nominal = load_model(description, **kind)
         self.model = load_model(description, **kind)
-        if solver is not None:
-            option = self.model.opt
-            option.timestep = solver.timestep
-            option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{solver.integrator.upper()}")
-            option.cone = getattr(mujoco.mjtCone, f"mjCONE_{solver.cone.upper()}")
-            option.impratio = solver.impratio
+        self.model.opt.timestep = self._description.timestep
         self.data = mujoco.MjData(self.model)
         self._samples = samples
         self._observer = observer
@@ -135,7 +126,6 @@ class SimulatedPlant:
         vary_model(self.model, self._nominal, self.variation)
         self._base_gains = self.model.actuator_gainprm[:, [GAIN_KP, GAIN_KD]].copy()
         self._gains_kp = self._gains_kd = np.full(12, np.nan)
-        self.disturber = Disturber(self._disturbance, self.model, seed)
         if self._motors is not None:
             self._motors.fit(self.model, self.data, self.variation, seed)
 
@@ -147,7 +137,7 @@ class SimulatedPlant:
         qpos[2] = d.pose_height["lie"] + 0.005 + v.start_height
         qpos[3:7] = np.cos(v.heading / 2), 0.0, 0.0, np.sin(v.heading / 2)
         qpos[7:] = np.clip(d.poses["lie"] + v.start_q, d.q_min + 0.01, d.q_max - 0.01)
-        self.disturber.place(qpos)
+        self._place(qpos)
         data = mujoco.MjData(self.model)
         data.qpos[:] = qpos
         sink(self.model, data)
@@ -192,7 +182,7 @@ class SimulatedPlant:
             p_WB=data.qpos[:3].copy(),
             v_WB=data.qvel[:3].copy(),
         )
-        return self.disturber.sensed(state)
+        return self._sensed(state)
 
     def _joints(self) -> tuple[FloatArray, FloatArray]:
         """Return positions as the encoders read them, and torques as the motors give them (12,)."""
@@ -207,7 +197,7 @@ class SimulatedPlant:
         if self._motors is not None:
             applied = self._motors.drive(substep, data)
             data.qfrc_applied[:] = 0.0
-            self.disturber.pull(data)
+            self._pull(data)
             data.qfrc_applied[6:] += applied
             return
         newest, before, before_that, *older = self._commands
@@ -222,7 +212,7 @@ class SimulatedPlant:
             older,
             interpolate=self._ramps,
         )
-        self.disturber.pull(data)
+        self._pull(data)
 
     def _set_gains(self, command: JointCommand) -> None:
         if not (np.array_equal(command.kp, self._gains_kp) and np.array_equal(command.kd, self._gains_kd)):
@@ -234,9 +224,8 @@ class SimulatedPlant:
 
     def _push(self) -> None:
         if self._ranges.push[1] > 0 and self.data.time >= self._next_push:
-            angle = self._rng.uniform(-np.pi, np.pi)
+            angle = self._push_angle()
             speed = self._rng.uniform(*self._ranges.push)
-            angle = self.disturber.push_angle(angle, float(heading_from_quat(self.data.qpos[3:7])))
             self.data.qvel[:2] += speed * np.cos(angle), speed * np.sin(angle)
             self._next_push += self._ranges.push_interval + self._phases.uniform(0.0, PUSH_PHASE)
 
@@ -256,8 +245,7 @@ class SimulatedPlant:
         self._ramps = command.ramp > 0.0
         zeros = np.zeros(12)
         command = dataclasses.replace(command, q_des=command.position_target(), dq_des=zeros, tau_ff=zeros)
-        dropped = self.disturber.command_dropped()
-        if dropped or (self._motors is not None and self._motors.command_dropped()):
+        if self._dropped():
             command = dataclasses.replace(command, q_des=self._commands[0])
         if self._motors is None:
             self._set_gains(command)
@@ -290,6 +278,26 @@ class SimulatedPlant:
         self._steps += 1
         return Tick(state=self._state(), health=_healthy(self._steps), sent=command, samples=samples)
 
+    # ------------------------------------------------------------------ what disturbs it, for who adds to it
+
+    def _place(self, qpos: FloatArray) -> None:
+        """Put a robot that lies on level ground onto another one; changes qpos in place."""
+
+    def _sensed(self, state: RobotState) -> RobotState:
+        """Return the state as the robot's sensors show it."""
+        return state
+
+    def _pull(self, data: mujoco.MjData) -> None:
+        """Set the generalised forces of the next physics step."""
+
+    def _push_angle(self) -> float:
+        """Draw the world direction of a push [rad]."""
+        return self._rng.uniform(-np.pi, np.pi)
+
+    def _dropped(self) -> bool:
+        """Return whether the command of this control step is dropped."""
+        return self._motors is not None and self._motors.command_dropped()
+
     def damp(self) -> bool:
         """Return True: the commands of the loop damp it."""
         return True
@@ -311,4 +319,4 @@ def plant_options(robot: EffectsSettings) -> dict[str, Any]:
     description = with_timestep(load_description(robot.robot_model), robot.timestep)
     effects = read_standing(Path(robot.effects))
     parameters_of(effects, hung_robot(description))
-    return {"effects": effects, "solver": Solver(timestep=robot.timestep)}
+    return {"effects": effects, "timestep": robot.timestep}

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lab.policies.disturbed import Disturbance, DisturbedPlant
 from lab.policies.standing import standing_track
-from mimic.config.play import NOMINAL, Disturbance
+from mimic.config.play import NOMINAL
 from mimic.control.joint_test import JointTest, Mistake
 from mimic.control.loop import run_policy
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
@@ -139,7 +140,7 @@ def test_a_ramp_that_is_too_soft_is_refused_at_the_hand_over():
 
 def test_an_episode_of_an_evaluation_begins_where_the_ramp_ends_and_is_not_refused():
     policy = load_policy(None, ROBOTS["cyberdog2"])
-    tilted = SimulatedPlant(
+    tilted = DisturbedPlant(
         ROBOTS["cyberdog2"], samples=False, begin=-2.5, disturbance=Disturbance(imu_tilt=8.0, imu_axis="pitch")
     )
     log = play_episode(tilted, policy, standing_track(policy, 2.0), TIMING).log

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mimic.config.play import NOMINAL, Solver
+from mimic.config.play import NOMINAL
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.emulator.body import AMBIENT, EmulatedBody
 from mimic.emulator.faults import miswiring, parse_fault
@@ -40,7 +40,7 @@ def effect(name: str, joint: str | None = None, **values: float) -> EffectSet:
 def test_it_moves_as_the_simulated_plant_does(description):
     """Commands 20 ms apart, half a physics step later here: the plant applies a target from the middle of a step on."""
     ranges = dataclasses.replace(NOMINAL, delay=(0.0, 0.0))
-    plant = SimulatedPlant(description, ranges=ranges, effects=EffectSet(()), solver=Solver(timestep=0.0025))
+    plant = SimulatedPlant(description, ranges=ranges, effects=EffectSet(()), timestep=0.0025)
     made = body(description)
     plant.start()
     lie, four, none = description.poses["lie"], description.poses["four"], np.zeros(12)

@@ -8,14 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from mimic.config.play import NOMINAL, Randomisation, Solver
+from mimic.config.play import NOMINAL, Randomisation
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.robot_model import command_in_effect, load_model
 from mimic.errors import ConfigError
 from mimic.records import JOINTS, JointCommand, RobotState
 from mimic.simulation.plant import SimulatedPlant
 
-FINE = Solver(timestep=0.001)
+FINE = 0.001
 
 
 def joints(name: str, **values: float) -> EffectValues:
@@ -70,8 +70,8 @@ def test_without_effects_the_robot_is_mujocos_own_motor_to_the_last_bit(descript
 
 
 def test_an_empty_set_of_effects_is_the_same_robot_at_short_steps(description):
-    native = play(SimulatedPlant(description, solver=FINE), hanging=True)
-    law = play(SimulatedPlant(description, solver=FINE, effects=EffectSet()), hanging=True)
+    native = play(SimulatedPlant(description, timestep=FINE), hanging=True)
+    law = play(SimulatedPlant(description, timestep=FINE, effects=EffectSet()), hanging=True)
     assert np.ptp([s.q for s in native], axis=0).max() > 0.1
     assert apart(native, law) < 0.01
 

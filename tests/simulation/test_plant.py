@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 from mimic.config.play import NOMINAL, Randomisation, RunSettings
 from mimic.control.loop import run_policy
 from mimic.control.plant import damping_command
-from mimic.errors import PlantError
+from mimic.errors import ConfigError, PlantError
 from mimic.geometry import heading_from_quat
 from mimic.metrics import stand_up_time, standing
 from mimic.policy.runtime import load_policy
 from mimic.records import CommandTrack, JointCommand, JointSamples, RobotState, Tick
+from mimic.robot.description import with_timestep
 from mimic.simulation.plant import SimulatedPlant
 
 PUSHED = dataclasses.replace(Randomisation(), push_interval=0.1)
@@ -250,3 +251,15 @@ def test_an_interpolation_over_another_time_than_the_control_step_is_refused(des
     command = dataclasses.replace(damping_command(plant.start().q, 5.0), ramp=0.01)
     with pytest.raises(PlantError, match=r"interpolates commands over 0\.02 s"):
         plant.step(command)
+
+
+def test_a_control_step_is_a_whole_number_of_physics_steps(description):
+    assert with_timestep(description, 0.001).dt == pytest.approx(description.dt)
+    with pytest.raises(ConfigError, match="must be a multiple"):
+        SimulatedPlant(description, timestep=0.003)
+
+
+def test_a_delay_is_the_same_time_at_any_timestep(description):
+    delayed = dataclasses.replace(NOMINAL, delay=(0.03, 0.03))
+    steps = [SimulatedPlant(description, ranges=delayed, timestep=h).variation.delay_steps for h in (0.005, 0.001)]
+    assert steps == [6, 30]

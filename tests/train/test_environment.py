@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mimic.config.leading import HandSettings
-from mimic.config.play import NOMINAL, Randomisation, Solver
+from mimic.config.play import NOMINAL, Randomisation
 from mimic.config.rewards import FinishFactors, RewardWeights
 from mimic.config.training import UNDISTURBED, MdpSettings
 from mimic.dynamics.robot_model import load_model, restitution_damping
@@ -127,12 +127,12 @@ def test_the_critic_sees_what_the_policy_sees_and_more(env):
 @pytest.mark.parametrize("timestep", [0.005, 0.0025])
 def test_training_physics_is_that_of_the_simulation(description, timestep, monkeypatch):
     """From the same lying start, through the same actuators and delay, with the same actions, solved to the end."""
-    solver, description = Solver(timestep=timestep), with_timestep(description, timestep)
+    description = with_timestep(description, timestep)
     monkeypatch.setattr("mimic.train.worlds.LINE_SEARCHES", 50)
     solved = {"solver_iterations": 100, "timestep": timestep, "command_margin": 0.0}
     crouched = {"upright_share": 0.0, "upright_share_at_first": 0.0, "limp_share": 0.0, "ramped_share": 0.0}
     env = make(description, worlds=1, randomisation=NOMINAL, **crouched, **solved)
-    plant = SimulatedPlant(description, solver=solver)
+    plant = SimulatedPlant(description, timestep=timestep)
     lie = [0.0, 0.0, description.pose_height["lie"] + 0.005, 1.0, 0.0, 0.0, 0.0, *description.poses["lie"]]
     state = plant.start_at(np.array(lie), np.zeros(18))  # without power it lies on its stops, where solvers differ more
     env.episode_length_buf.zero_()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mimic.config.play import NOMINAL, Solver
+from mimic.config.play import NOMINAL
 from mimic.config.training import TRAINING_RANDOMISATION, UNDISTURBED, MdpSettings
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues, write_effects
@@ -87,9 +87,7 @@ def difference(folder: Path, description, effects: tuple[EffectValues, ...], ste
     assert worlds.motors is not None
     rng, n = np.random.default_rng(0), EXACT.worlds
     lie, gains = (d.q_min + d.q_max) / 2, (d.kp, d.kd)
-    plants = [
-        SimulatedPlant(d, effects=EffectSet(effects), solver=Solver(timestep=STEP), samples=False) for _ in range(n)
-    ]
+    plants = [SimulatedPlant(d, effects=EffectSet(effects), timestep=STEP, samples=False) for _ in range(n)]
     for plant in plants:
         qpos, qvel = np.zeros(19), rng.normal(size=18) * np.repeat([0.5, 6.0], [6, 12])
         quat = rng.normal(size=4)

@@ -15,11 +15,11 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
+from lab.policies.disturbed import Disturbance, DisturbedJob, Solver
+from lab.policies.standing import standing_track
 from lab.policies.studies.senses import SENSES, Senses, SensingPolicy
 from lab.policies.studies.settings import CalmSettings
-from lab.policies.standing import standing_track
-from mimic.config.play import Disturbance, Solver
-from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
+from mimic.evaluation.episode import TIMING, play_all, play_episode
 from mimic.evaluation.policy import stands_at_end
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
@@ -63,7 +63,7 @@ PULLED: dict[str, Any] = {"drag_from": PUSHED_AT, "drag_ramp": 1.5, "drag_second
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Job(Job):
+class _Job(DisturbedJob):
     what: str
     impratio: float | None = None
     hold_position: bool = False
@@ -138,8 +138,8 @@ def _play(job: _Job, policy: Policy) -> dict[str, Any]:
     stands = job.kind == "standing"
     options: dict[str, Any] = {}
     if job.impratio is not None:
-        usual = plant_options(job.robot).get("solver") or Solver()
-        options["solver"] = replace(usual, impratio=job.impratio)
+        timestep = plant_options(job.robot).get("timestep", description.timestep)
+        options["solver"] = Solver(timestep=timestep, impratio=job.impratio)
     plant = job.plant(description, samples=stands, **options)
     planted = _Planted(plant.model, description)
     if stands:

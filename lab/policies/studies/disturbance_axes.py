@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mimic.config.play import NO_DISTURBANCE, NOMINAL, Disturbance, Randomisation
+from lab.policies.disturbed import NO_DISTURBANCE, Disturbance
+from mimic.config.play import NOMINAL, Randomisation
 from mimic.config.training import TRAINING_RANDOMISATION, DisturbanceRanges
 
 START = dataclasses.replace(

@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from lab.policies.disturbed import NO_DISTURBANCE, DisturbedJob, Solver
+from lab.policies.standing import on_level_ground
 from lab.policies.studies.disturbance_axes import AXES, START, World, all_at_once
 from lab.policies.studies.settings import RobustnessSettings
-from lab.policies.standing import on_level_ground
-from mimic.config.play import NO_DISTURBANCE, Randomisation, Solver
+from mimic.config.play import Randomisation
 from mimic.config.training import TRAINING_RANDOMISATION
 from mimic.errors import PlantError
-from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
+from mimic.evaluation.episode import TIMING, play_all, play_episode
 from mimic.evaluation.policy import asked_by, stands_at_end
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
@@ -57,7 +58,7 @@ sink into the ground of pyramidal cones; with impratio 10 they do not, and what 
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Job(Job):
+class _Job(DisturbedJob):
     key: tuple[str, str]
     solver: Solver | None = None
 

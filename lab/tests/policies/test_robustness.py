@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lab.policies.disturbed import NO_DISTURBANCE, Disturbance, Solver
 from lab.policies.studies import robustness
 from lab.policies.studies.disturbance_axes import AXES, START, all_at_once
 from lab.policies.studies.robustness import SOLVERS, evaluate_robustness, holds
 from lab.policies.studies.settings import RobustnessSettings
-from mimic.config.play import NO_DISTURBANCE, Disturbance, Randomisation, Solver
+from mimic.config.play import Randomisation
 from mimic.errors import AssetError
 from mimic.io.assets import shipped
 

@@ -17,6 +17,7 @@ from mimic.config.hardware import BusSettings
 from mimic.control.safety.safety_rules import RULES
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
+from mimic.emulator.motor_frames import encode_answer
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, PlantError
 from mimic.flows.robot import commissioning
@@ -389,7 +390,7 @@ class DoublingLink(EmulatedLink):
             said = getattr(message, "said", None)
             if isinstance(said, Feedback) and said.motor == 2:
                 second = replace(message, said=replace(said, q=said.q + 0.4))
-                self._second.append(received._replace(frame=CODEC.encode(second)))
+                self._second.append(received._replace(frame=encode_answer(CODEC, second)))
         return received
 
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.config.play import Solver
 from mimic.geometry import heading_from_quat
 from mimic.policy.contract import AHEAD, FRONT, ObservationBuilder, arm_reference, joint_command
 from mimic.records import JointCommand
@@ -29,7 +28,8 @@ def test_a_mirrored_robot_with_mirrored_actions_sees_mirrored_observations(descr
     arm_rows = rng.normal(size=(10, 2, len(AHEAD), FRONT))
     seen = []
     for flip in (False, True):
-        plant = SimulatedPlant(description, solver=Solver(impratio=1.0))  # stiff contacts make small differences grow
+        plant = SimulatedPlant(description)
+        plant.model.opt.impratio = 1.0  # stiff contacts make small differences grow
         lying = [0.0, 0.0, description.pose_height["lie"] + 0.005, 1.0, 0.0, 0.0, 0.0, *description.poses["lie"]]
         state = plant.start_at(np.array(lying), np.zeros(18))
         heading0 = float(heading_from_quat(state.quat_WB))

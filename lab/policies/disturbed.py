@@ -1,16 +1,78 @@
-"""Disturbances of a simulated robot: slope, pull, payload, sensor noise, dropped commands."""
+"""A simulated robot that is disturbed besides its variation: slope, pull, payload, sensor noise, dropped commands; and
+other solvers of its physics.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
-from mimic.config.play import Disturbance
+from mimic.config.ranges import Limited, within
+from mimic.evaluation.episode import OF_EPISODES, Job
 from mimic.geometry import heading_from_quat
 from mimic.records import LEGS, SIDES, FloatArray, RobotState
+from mimic.robot.description import RobotDescription
 from mimic.robot.model import TOES
+from mimic.simulation.plant import SimulatedPlant, plant_options
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Disturbance(Limited):
+    """Disturbances of a simulated robot besides its variation; none by default."""
+
+    toe: Literal["left", "right"] = "left"
+    """Front toe that carries and is dragged."""
+    toe_payload: float = within(0.0, 0.0, 5.0, "kg")
+    """Mass at that toe [kg]."""
+    drag: float = within(0.0, 0.0, 100.0, "N")
+    """Horizontal force on that toe [N]."""
+    drag_way: Literal["any", "sideways", "forward", "backward", "left", "right"] = "any"
+    """Its direction: drawn for each start, or as the belly faces when it begins; sideways is left or right."""
+    drag_ramp: float = within(0.0, 0.0, 60.0, "s")
+    """Time in which it grows to that [s]."""
+    drag_from: float = 4.0
+    """When the force begins [s]."""
+    drag_seconds: float = 3.0
+    """How long it lasts [s]."""
+    push_way: Literal["any", "fore-aft", "sideways"] = "any"
+    """Direction of pushes (Randomisation.push): drawn, or seen from where the belly faces."""
+    slope: float = within(0.0, 0.0, 30.0, "deg")
+    """Inclination of the ground, falling in a direction drawn for each start [deg]."""
+    imu_tilt: float = within(0.0, 0.0, 30.0, "deg")
+    """Mounting error of the IMU [deg]."""
+    imu_axis: Literal["any", "pitch"] = "any"
+    """Its axis: drawn for each start, or the base's y axis, either way around."""
+    noise_q: float = within(0.0, 0.0, 1.0, "rad")
+    """Half width of the noise on measured joint positions, drawn at each control step [rad]."""
+    noise_imu: float = within(0.0, 0.0, 1.0, "rad")
+    """Half width of the noise on the measured orientation about each axis, drawn at each control step [rad]."""
+    noise_gyro: float = within(0.0, 0.0, 10.0, "rad/s")
+    """… on the measured angular velocity [rad/s]."""
+    noise_dq: float = within(0.0, 0.0, 10.0, "rad/s")
+    """… on measured joint velocities [rad/s]."""
+    lost_share: float = within(0.0, 0.0, 1.0)
+    """Probability that a command is dropped; the one before stays in effect."""
+
+
+NO_DISTURBANCE = Disturbance()
+"""No disturbance."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Solver(Limited):
+    """Integration of the physics; the defaults are those of the robot description."""
+
+    timestep: float = within(0.0025, 1e-4, 0.02, "s")
+    """Physics step [s]; the control step must be a multiple of it."""
+    integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    """Shape of the friction cones."""
+    impratio: float = within(100.0, 0.1, 100.0)
+    """How much stiffer contacts are against sliding than against sinking; at 1, MuJoCo's default, a loaded foot creeps.
+    MuJoCo Menagerie's models of legged robots have 100."""
 
 
 def _quat_about(axis: FloatArray, angle: float) -> FloatArray:
@@ -120,3 +182,58 @@ def payloads(disturbance: Disturbance) -> dict[str, float]:
     """Return the mass that each leg's toe carries [kg]."""
     carried = {LEGS[SIDES.index(disturbance.toe)]: disturbance.toe_payload}
     return carried if disturbance.toe_payload else {}
+
+
+class DisturbedPlant(SimulatedPlant):
+    """A `SimulatedPlant` with a disturbance, and another solver."""
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        *,
+        disturbance: Disturbance = NO_DISTURBANCE,
+        solver: Solver | None = None,
+        **options: Any,
+    ) -> None:
+        """Make a robot; further options are those of a `SimulatedPlant`."""
+        self._disturbance = disturbance
+        if solver is not None:
+            options["timestep"] = solver.timestep
+        super().__init__(description, payloads=payloads(disturbance), **options)
+        if solver is not None:
+            option = self.model.opt
+            option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{solver.integrator.upper()}")
+            option.cone = getattr(mujoco.mjtCone, f"mjCONE_{solver.cone.upper()}")
+            option.impratio = solver.impratio
+
+    def restart(self, seed: int) -> None:
+        """Draw another robot from the same ranges."""
+        super().restart(seed)
+        self.disturber = Disturber(self._disturbance, self.model, seed)
+
+    def _place(self, qpos: FloatArray) -> None:
+        self.disturber.place(qpos)
+
+    def _sensed(self, state: RobotState) -> RobotState:
+        return self.disturber.sensed(state)
+
+    def _pull(self, data: mujoco.MjData) -> None:
+        self.disturber.pull(data)
+
+    def _push_angle(self) -> float:
+        return self.disturber.push_angle(super()._push_angle(), float(heading_from_quat(self.data.qpos[3:7])))
+
+    def _dropped(self) -> bool:
+        return self.disturber.command_dropped() or super()._dropped()
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisturbedJob(Job):
+    """One episode of a disturbed robot."""
+
+    disturbance: Disturbance = NO_DISTURBANCE
+
+    def plant(self, description: RobotDescription, **options: Any) -> DisturbedPlant:
+        """Return the robot, with further options of a `DisturbedPlant`."""
+        given: dict[str, Any] = {**OF_EPISODES, **plant_options(self.robot), **options}
+        return DisturbedPlant(description, ranges=self.ranges, seed=self.seed, disturbance=self.disturbance, **given)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mimic.config.play import NOMINAL, Disturbance, Solver
+from lab.policies.disturbed import Disturbance, DisturbedPlant, Solver
+from mimic.config.play import NOMINAL
 from mimic.dynamics.robot_model import load_model
-from mimic.errors import ConfigError
 from mimic.records import JointCommand, RobotState, Tick
-from mimic.simulation.plant import SimulatedPlant, with_timestep
+from mimic.simulation.plant import SimulatedPlant
 
 
 def command(description, q: np.ndarray) -> JointCommand:
@@ -23,7 +23,7 @@ def command(description, q: np.ndarray) -> JointCommand:
     return JointCommand(q_des=q, dq_des=zeros, kp=gains[0], kd=gains[1], tau_ff=zeros)
 
 
-def play(plant: SimulatedPlant, ticks: int = 30) -> list[Tick]:
+def play(plant: DisturbedPlant, ticks: int = 30) -> list[Tick]:
     """Sway, the same each time."""
     d = plant.description
     plant.start()
@@ -57,7 +57,7 @@ EACH = [
 
 @pytest.mark.parametrize("disturbance", EACH, ids=lambda d: str(d).split("(")[1][:24])
 def test_a_disturbance_does_something_and_is_that_of_its_seed(disturbance, description):
-    first, second, other = (play(SimulatedPlant(description, seed=seed, disturbance=disturbance)) for seed in (1, 1, 2))
+    first, second, other = (play(DisturbedPlant(description, seed=seed, disturbance=disturbance)) for seed in (1, 1, 2))
     assert same(first[-1].state, second[-1].state)
     assert not same(first[-1].state, level(description)[-1].state)
     if not disturbance.toe_payload:  # which has no direction
@@ -66,8 +66,8 @@ def test_a_disturbance_does_something_and_is_that_of_its_seed(disturbance, descr
 
 @pytest.mark.parametrize(("toe", "leg"), [("left", "FL"), ("right", "FR")])
 def test_a_payload_weighs_at_its_toe(toe, leg, description):
-    loaded = SimulatedPlant(description, disturbance=Disturbance(toe=toe, toe_payload=0.3)).model
-    bare = SimulatedPlant(description).model
+    loaded = DisturbedPlant(description, disturbance=Disturbance(toe=toe, toe_payload=0.3)).model
+    bare = DisturbedPlant(description).model
     body = bare.body(f"{leg}_knee").id
     data = [mujoco.MjData(model) for model in (bare, loaded)]
     for model, d in zip((bare, loaded), data, strict=True):
@@ -80,14 +80,14 @@ def test_a_payload_weighs_at_its_toe(toe, leg, description):
 
 def test_a_varied_robot_carries_its_payload_too(description):
     ranges = dataclasses.replace(NOMINAL, base_mass=(1.0, 1.0))
-    plant = SimulatedPlant(description, ranges=ranges, disturbance=Disturbance(toe_payload=0.3))
+    plant = DisturbedPlant(description, ranges=ranges, disturbance=Disturbance(toe_payload=0.3))
     nominal = load_model(description, visuals=False).body_mass.sum()
     assert plant.model.body_mass.sum() == pytest.approx(nominal + 1.3)
 
 
 def test_a_drag_is_a_horizontal_force_for_its_time(description):
     """On a robot in free fall, whose momentum nothing else changes sideways."""
-    plant = SimulatedPlant(description, seed=3, disturbance=Disturbance(drag=10.0, drag_from=0.1, drag_seconds=0.2))
+    plant = DisturbedPlant(description, seed=3, disturbance=Disturbance(drag=10.0, drag_from=0.1, drag_seconds=0.2))
     start = plant.start()
     plant.data.qpos[2] = 100.0
     base = plant.model.body("base").id
@@ -109,7 +109,7 @@ def test_a_pull_sideways_is_to_the_left_or_the_right_of_where_the_belly_faces(de
     for seed in range(6):
         disturbance = Disturbance(drag=10.0, drag_from=0.1, drag_seconds=0.2, drag_way="sideways")
         turned = dataclasses.replace(NOMINAL, heading=(1.0, 1.0))
-        plant = SimulatedPlant(description, seed=seed, ranges=turned, disturbance=disturbance)
+        plant = DisturbedPlant(description, seed=seed, ranges=turned, disturbance=disturbance)
         start = plant.start()
         plant.data.qpos[2] = 100.0
         for _ in range(15):
@@ -125,16 +125,16 @@ def test_a_pull_sideways_is_to_the_left_or_the_right_of_where_the_belly_faces(de
 
 def test_an_imu_that_is_pitched_is_turned_about_the_left_axis(description):
     for seed in (1, 2):
-        plant = SimulatedPlant(description, seed=seed, disturbance=Disturbance(imu_tilt=3.0, imu_axis="pitch"))
+        plant = DisturbedPlant(description, seed=seed, disturbance=Disturbance(imu_tilt=3.0, imu_axis="pitch"))
         read = Rotation.from_quat(plant.start().quat_WB, scalar_first=True)
         true = Rotation.from_quat(plant.data.qpos[3:7], scalar_first=True)
         assert np.abs((true.inv() * read).as_rotvec(degrees=True)) == pytest.approx([0.0, 3.0, 0.0], abs=1e-6)
 
 
 def test_a_robot_lies_on_a_slope_as_on_the_level(description):
-    plant = SimulatedPlant(description, seed=4, disturbance=Disturbance(slope=10.0))
+    plant = DisturbedPlant(description, seed=4, disturbance=Disturbance(slope=10.0))
     plant.start()
-    flat = SimulatedPlant(description, seed=4)
+    flat = DisturbedPlant(description, seed=4)
     flat.start()
     normal = Rotation.from_quat(plant.disturber.slope_quat, scalar_first=True).apply([0.0, 0.0, 1.0])
     assert np.arccos(normal[2]) == pytest.approx(np.deg2rad(10.0))
@@ -142,14 +142,14 @@ def test_a_robot_lies_on_a_slope_as_on_the_level(description):
     assert plant.data.qpos[:3] @ normal == pytest.approx(flat.data.qpos[2], abs=0.005)
 
 
-def ground_height(plant: SimulatedPlant, p_W: np.ndarray) -> float:
+def ground_height(plant: DisturbedPlant, p_W: np.ndarray) -> float:
     """Return the height of the ground under a point (3,)."""
     normal = Rotation.from_quat(plant.disturber.slope_quat, scalar_first=True).as_matrix()[:, 2]
     return -(p_W[0] * normal[0] + p_W[1] * normal[1]) / normal[2]
 
 
 def test_the_ground_of_a_slope_is_under_a_robot_that_rests_on_it(description):
-    plant = SimulatedPlant(description, seed=4, disturbance=Disturbance(slope=5.0))
+    plant = DisturbedPlant(description, seed=4, disturbance=Disturbance(slope=5.0))
     plant.start()
     for _ in range(50):
         plant.step(command(description, description.poses["lie"]))
@@ -161,7 +161,7 @@ def test_the_ground_of_a_slope_is_under_a_robot_that_rests_on_it(description):
 
 def test_a_slope_without_friction_carries_a_robot_down(description):
     ice = dataclasses.replace(NOMINAL, ground_friction=(0.02, 0.02))
-    plant = SimulatedPlant(description, ranges=ice, seed=5, disturbance=Disturbance(slope=10.0))
+    plant = DisturbedPlant(description, ranges=ice, seed=5, disturbance=Disturbance(slope=10.0))
     begin = plant.start()
     for _ in range(50):
         state = plant.step(command(description, description.poses["lie"])).state
@@ -169,7 +169,7 @@ def test_a_slope_without_friction_carries_a_robot_down(description):
 
 
 def test_a_tilted_imu_shows_the_same_error_all_the_time(description):
-    plant = SimulatedPlant(description, disturbance=Disturbance(imu_tilt=3.0))
+    plant = DisturbedPlant(description, disturbance=Disturbance(imu_tilt=3.0))
     true = level(description)
     for tick, truth in zip(play(plant), true, strict=True):
         assert between(tick.state, truth.state.quat_WB) == pytest.approx(np.deg2rad(3.0))
@@ -177,7 +177,7 @@ def test_a_tilted_imu_shows_the_same_error_all_the_time(description):
 
 
 def test_noise_is_on_what_is_measured_and_not_on_the_motion(description):
-    plant = SimulatedPlant(description, disturbance=Disturbance(noise_q=0.02, noise_imu=0.03))
+    plant = DisturbedPlant(description, disturbance=Disturbance(noise_q=0.02, noise_imu=0.03))
     errors = []
     for tick, truth in zip(play(plant), level(description), strict=True):
         errors.append(tick.state.q - truth.state.q)
@@ -188,8 +188,8 @@ def test_noise_is_on_what_is_measured_and_not_on_the_motion(description):
 
 
 def test_a_robot_that_hears_nothing_stays_as_it_was(description):
-    dropping = play(SimulatedPlant(description, disturbance=Disturbance(lost_share=1.0)))
-    plant = SimulatedPlant(description)
+    dropping = play(DisturbedPlant(description, disturbance=Disturbance(lost_share=1.0)))
+    plant = DisturbedPlant(description)
     start = plant.start()
     commanded = [plant.step(command(description, start.q)) for _ in range(30)]
     assert same(dropping[-1].state, commanded[-1].state)
@@ -197,7 +197,7 @@ def test_a_robot_that_hears_nothing_stays_as_it_was(description):
 
 
 def test_some_commands_are_lost_and_the_rest_arrive(description):
-    ticks = play(SimulatedPlant(description, disturbance=Disturbance(lost_share=0.3)), 300)
+    ticks = play(DisturbedPlant(description, disturbance=Disturbance(lost_share=0.3)), 300)
     repeated = [np.array_equal(a.sent.q_des, b.sent.q_des) for a, b in pairwise(ticks)]
     assert 0.2 < np.mean(repeated) < 0.4
 
@@ -206,7 +206,7 @@ def test_some_commands_are_lost_and_the_rest_arrive(description):
 
 
 def test_the_usual_solver_is_the_one_of_the_description(description):
-    usual = play(SimulatedPlant(description, solver=Solver()))
+    usual = play(DisturbedPlant(description, solver=Solver()))
     assert same(usual[-1].state, level(description)[-1].state)
 
 
@@ -216,7 +216,7 @@ def test_the_usual_solver_is_the_one_of_the_description(description):
     ids=str,
 )
 def test_other_solvers_move_the_robot_nearly_the_same_way(solver, description):
-    ticks = play(SimulatedPlant(description, solver=solver))
+    ticks = play(DisturbedPlant(description, solver=solver))
     usual = level(description)
     assert ticks[-1].state.t == pytest.approx(usual[-1].state.t)
     assert len(ticks[0].samples.t) == round(description.dt / solver.timestep)
@@ -225,23 +225,8 @@ def test_other_solvers_move_the_robot_nearly_the_same_way(solver, description):
 
 
 def test_friction_cones_can_be_chosen(description):
-    models = [SimulatedPlant(description, solver=Solver(cone=cone)).model for cone in ("elliptic", "pyramidal")]
+    models = [DisturbedPlant(description, solver=Solver(cone=cone)).model for cone in ("elliptic", "pyramidal")]
     assert [model.opt.cone for model in models] == [mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.mjtCone.mjCONE_PYRAMIDAL]
-
-
-def test_a_control_step_is_a_whole_number_of_physics_steps(description):
-    assert with_timestep(description, 0.001).dt == pytest.approx(description.dt)
-    with pytest.raises(ConfigError, match="must be a multiple"):
-        SimulatedPlant(description, solver=Solver(timestep=0.003))
-
-
-def test_a_delay_is_the_same_time_at_any_timestep(description):
-    delayed = dataclasses.replace(NOMINAL, delay=(0.03, 0.03))
-    steps = [
-        SimulatedPlant(description, ranges=delayed, solver=Solver(timestep=h)).variation.delay_steps
-        for h in (0.005, 0.001)
-    ]
-    assert steps == [6, 30]
 
 
 @pytest.mark.parametrize(
@@ -249,7 +234,7 @@ def test_a_delay_is_the_same_time_at_any_timestep(description):
 )
 def test_a_pull_grows_in_its_direction(way, angles, description):
     pull = Disturbance(drag=10.0, drag_from=0.1, drag_seconds=0.4, drag_ramp=0.2, drag_way=way)
-    plant = SimulatedPlant(description, ranges=dataclasses.replace(NOMINAL, heading=(1.0, 1.0)), disturbance=pull)
+    plant = DisturbedPlant(description, ranges=dataclasses.replace(NOMINAL, heading=(1.0, 1.0)), disturbance=pull)
     start = plant.start()
     plant.data.qpos[2] = 100.0
     base, speeds = plant.model.body("base").id, []
@@ -270,7 +255,7 @@ def test_a_push_comes_from_where_it_is_asked_for(way, ahead, description):
     ranges = dataclasses.replace(NOMINAL, heading=(1.0, 1.0), push=(0.5, 0.5), push_interval=0.1)
     signs = set()
     for seed in range(6):
-        plant = SimulatedPlant(description, ranges=ranges, seed=seed, disturbance=Disturbance(push_way=way))
+        plant = DisturbedPlant(description, ranges=ranges, seed=seed, disturbance=Disturbance(push_way=way))
         plant.start()
         plant.data.time, plant.data.qvel[:] = 10.0, 0.0
         plant._push()
@@ -282,7 +267,7 @@ def test_a_push_comes_from_where_it_is_asked_for(way, ahead, description):
 
 
 def test_a_tilted_imu_feels_turning_about_its_own_axes(description):
-    plant = SimulatedPlant(description, disturbance=Disturbance(imu_tilt=30.0, imu_axis="pitch"), seed=1)
+    plant = DisturbedPlant(description, disturbance=Disturbance(imu_tilt=30.0, imu_axis="pitch"), seed=1)
     start = plant.start()
     plant.data.qvel[3:6] = 1.0, 2.0, 3.0
     seen, turn = plant._state().omega_B, Rotation.from_quat(start.quat_WB, scalar_first=True)
