@@ -45,6 +45,7 @@ def simulated(*options: str) -> int:
     return main(["log", "simulate", "--model", "robot.xml", "--effects", "hidden.toml", *QUICK, *options])
 
 
+@pytest.mark.slow
 def test_a_simulated_log_is_one_that_can_be_read(here: Path) -> None:
     assert simulated("-o", "log.csv", "--rate-hz", "100", "--kd", "2.5", "--lost-samples", "0.1") == 0
     log = read_log(here / "log.csv")
