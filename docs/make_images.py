@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from viewer_screenshot import screenshot
 
 from mimic.cli import main as mimic
 from mimic.config.play import RunSettings
@@ -32,7 +33,6 @@ from mimic.sysid.predict import predict
 from mimic.view.film.footage import read_frames
 from mimic.view.film.side_by_side import RobotFilm, save_video
 from mimic.view.scene.live import LiveView
-from mimic.view.scene.viewer import screenshot
 
 HERE = Path(__file__).resolve().parent
 CLIPS = HERE.parent / "examples" / "videos"

@@ -7,11 +7,8 @@ from pathlib import Path
 import pytest
 import rerun as rr
 
-from mimic.errors import AssetError, MimicError
-from mimic.records import RunLog
-from mimic.robot.description import RobotDescription
-from mimic.view.scene.scene import save_scene
-from mimic.view.scene.viewer import display_available, open_viewer, screenshot, serve_scene
+from mimic.errors import AssetError
+from mimic.view.scene.viewer import display_available, open_viewer, serve_scene
 
 
 def test_display_is_one_of_x11_or_wayland(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -37,26 +34,6 @@ def test_no_window_without_a_display(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 def test_a_missing_scene_is_named(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match=r"no\.rrd"):
         open_viewer(tmp_path / "no.rrd")
-    with pytest.raises(AssetError, match=r"no\.rrd"):
-        screenshot(tmp_path / "no.rrd", tmp_path / "no.png", time_s=0.0)
-
-
-@pytest.mark.slow
-def test_screenshot_needs_no_display(log: RunLog, description: RobotDescription, tmp_path: Path) -> None:
-    import cv2
-
-    scene, picture = tmp_path / "scene.rrd", tmp_path / "scene.png"
-    save_scene(scene, log=log, description=description)
-    try:
-        screenshot(scene, picture, time_s=0.5, size=(640, 400))
-    except MimicError as error:
-        if "no Vulkan driver" not in str(error):
-            raise
-        pytest.skip(str(error))
-    image = cv2.imread(str(picture))
-    assert image is not None
-    assert image.shape == (400, 640, 3)
-    assert image.std() > 20
 
 
 @pytest.mark.slow
