@@ -118,12 +118,13 @@ def command_reference() -> str:
 
 def effect_reference() -> str:
     """Return a section in Markdown for each effect of the catalogue."""
+    from mimic.config.sysid import CalibrateSettings
     from mimic.dynamics.catalogue import CATALOGUE
 
     sections = []
     for effect in CATALOGUE.values():
         marks = {
-            "baseline": effect.baseline,
+            "baseline": effect.name in CalibrateSettings().baseline,
             "always refitted": effect.structural,
             "read from the log": effect.random,
             "read from the positions": effect.read_off and not effect.random,

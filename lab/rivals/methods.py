@@ -14,7 +14,7 @@ import numpy as np
 from lab.rivals.cases import Case, switched_on
 from lab.rivals.torque import Motion, motions_of
 from mimic.config.sysid import CalibrateSettings
-from mimic.dynamics.catalogue import BASELINE, CATALOGUE
+from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.dynamics.servo import neutral
@@ -77,7 +77,7 @@ def of_baseline(case: Case) -> Found:
 def of_random(case: Case, samples: int = 8192) -> Found:
     """The paper's search: the best of so many random samples of the baseline parameters."""
     problem = setting_of(data_of(case.fitted, case.machine))
-    keys = _keys(BASELINE)
+    keys = _keys(CalibrateSettings().baseline)
     rng = np.random.default_rng(0)
     best, winner = np.inf, np.zeros(0)
     size = sum(problem_rows(case, keys).values())

@@ -299,88 +299,75 @@ def _ends(model: mujoco.MjModel, body: IntArray) -> tuple[FloatArray, FloatArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inertias:
-    """Inertial numbers of all bodies for N simulations."""
+    """Inertial numbers of all bodies."""
 
     mass: FloatArray
-    """(N, B) [kg]"""
+    """(B,) [kg]"""
     ipos: FloatArray
-    """(N, B, 3) [m]"""
+    """(B, 3) [m]"""
     inertia: FloatArray
-    """(N, B, 3) [kg m^2]"""
+    """(B, 3) [kg m^2]"""
     iquat: FloatArray
-    """(N, B, 4)"""
+    """(B, 4)"""
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, count: int = 1) -> Inertias:
-        """Return those of a model, as many times as there are simulations."""
-        return cls(**{f.name: np.repeat(getattr(model, f"body_{f.name}")[None], count, 0) for f in fields(cls)})
+    def of(cls, model: mujoco.MjModel) -> Inertias:
+        """Return those of a model."""
+        return cls(**{f.name: getattr(model, f"body_{f.name}").copy() for f in fields(cls)})
 
     def write(self, model: mujoco.MjModel) -> None:
-        """Write those of the first simulation into a model."""
+        """Write them into a model."""
         for f in fields(self):
-            getattr(model, f"body_{f.name}")[:] = getattr(self, f.name)[0]
+            getattr(model, f"body_{f.name}")[:] = getattr(self, f.name)
 
+    def change(
+        self,
+        bodies: Sequence[int] | IntArray,
+        machine: MachineModel,
+        factor: FloatArray | None,
+        shift: FloatArray | None,
+        payload: FloatArray | None,
+    ) -> None:
+        """Scale links, shift their centres of mass and load their tips; what is None stays.
 
-def inertias(
-    machine: MachineModel, factor: FloatArray | None, shift: FloatArray | None, payload: FloatArray | None
-) -> Inertias:
-    """Return the inertial numbers with links scaled, centres of mass shifted and tips loaded; each (N, J) or None."""
-    count = next(len(v) for v in (factor, shift, payload) if v is not None)
-    return changed_inertias(Inertias.of(machine.model, count), machine.body, machine, factor, shift, payload)
+        Args:
+            bodies: Link that each joint moves (J,).
+            machine: Its links.
+            factor: On masses and inertias (J,).
+            shift: Of centres of mass toward the ends of the links (J,) [m].
+            payload: At the tips (J,) [kg].
+        """
+        for j, b in enumerate(bodies):
+            if factor is not None:
+                self.mass[b] *= factor[j]
+                self.inertia[b] *= factor[j]
+            if shift is not None:
+                self.ipos[b] += shift[j] * machine.toward[j]
+            if payload is not None and payload[j]:
+                self._load(int(b), float(payload[j]), machine.tip[j])
 
+    def _load(self, b: int, load: float, tip: FloatArray) -> None:
+        """Add a point mass to one body, exactly: new centre, parallel axes, new principal axes."""
+        m = self.mass[b]
+        c = self.ipos[b].copy()
+        total = m + load
+        centre = (m * c + load * tip) / total
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, self.iquat[b])
+        rotation = rotation.reshape(3, 3)
+        whole = rotation @ np.diag(self.inertia[b]) @ rotation.T
 
-def changed_inertias(
-    own: Inertias,
-    bodies: Sequence[int] | IntArray,
-    machine: MachineModel,
-    factor: FloatArray | None,
-    shift: FloatArray | None,
-    payload: FloatArray | None,
-) -> Inertias:
-    """Return the inertial numbers of N simulations changed in place (see `inertias`).
+        def point(r: FloatArray) -> FloatArray:
+            return float(r @ r) * np.eye(3) - np.outer(r, r)
 
-    Args:
-        own: Numbers before.
-        bodies: Link that each joint moves (J,).
-        machine: Its links.
-        factor: On masses and inertias (N, J).
-        shift: Of centres of mass toward the ends of the links (N, J) [m].
-        payload: At the tips (N, J) [kg].
-    """
-    for j, b in enumerate(bodies):
-        if factor is not None:
-            own.mass[:, b] *= factor[:, j]
-            own.inertia[:, b] *= factor[:, j, None]
-        if shift is not None:
-            own.ipos[:, b] += shift[:, j, None] * machine.toward[j]
-        if payload is not None:
-            for i in np.flatnonzero(payload[:, j]):
-                _load(own, int(i), int(b), float(payload[i, j]), machine.tip[j])
-    return own
-
-
-def _load(own: Inertias, i: int, b: int, load: float, tip: FloatArray) -> None:
-    """Add a point mass to one body, exactly: new centre, parallel axes, new principal axes."""
-    m = own.mass[i, b]
-    c = own.ipos[i, b].copy()
-    total = m + load
-    centre = (m * c + load * tip) / total
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, own.iquat[i, b])
-    rotation = rotation.reshape(3, 3)
-    whole = rotation @ np.diag(own.inertia[i, b]) @ rotation.T
-
-    def point(r: FloatArray) -> FloatArray:
-        return float(r @ r) * np.eye(3) - np.outer(r, r)
-
-    whole = whole + m * point(c - centre) + load * point(tip - centre)
-    values, axes = np.linalg.eigh(whole)
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
-    mujoco.mju_mat2Quat(own.iquat[i, b], axes.reshape(-1))
-    own.mass[i, b] = total
-    own.ipos[i, b] = centre
-    own.inertia[i, b] = values
+        whole = whole + m * point(c - centre) + load * point(tip - centre)
+        values, axes = np.linalg.eigh(whole)
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] *= -1
+        mujoco.mju_mat2Quat(self.iquat[b], axes.reshape(-1))
+        self.mass[b] = total
+        self.ipos[b] = centre
+        self.inertia[b] = values
 
 
 def tilted_gravity(roll: Any, pitch: Any, gravity: Sequence[float] = (0.0, 0.0, -GRAVITY)) -> FloatArray:

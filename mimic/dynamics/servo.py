@@ -17,7 +17,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, read_effects
 from mimic.dynamics.law import OF_DRIVES, Parameters, StepInputs
-from mimic.dynamics.machine import Inertias, MachineModel, changed_inertias
+from mimic.dynamics.machine import Inertias, MachineModel
 from mimic.errors import ConfigError
 from mimic.records import FloatArray
 
@@ -54,13 +54,16 @@ def static_model(model: mujoco.MjModel, machine: MachineModel, p: Parameters) ->
     parts = inertial_parts(p)
     if any(part is not None for part in parts):
         bodies = [model.body(machine.model.body(b).name).id for b in machine.body]
-        changed_inertias(Inertias.of(model), bodies, machine, *parts).write(model)
+        inertias = Inertias.of(model)
+        inertias.change(bodies, machine, *parts)
+        inertias.write(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def inertial_parts(p: Parameters) -> list[FloatArray | None]:
-    """Return what changes the links: factors on masses, shifts of centres and masses at tips, (N, J) or None."""
-    return [p.get(key) for key in (("link_mass", "factor"), ("com_shift", "distance"), ("payload", "mass"))]
+    """Return what changes the links: factors on masses, shifts of centres and masses at tips, (J,) or None."""
+    parts = (p.get(key) for key in (("link_mass", "factor"), ("com_shift", "distance"), ("payload", "mass")))
+    return [None if part is None else part[0] for part in parts]
 
 
 def neutral(name: str, parameter: str, machine: MachineModel) -> FloatArray:

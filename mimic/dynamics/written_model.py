@@ -14,7 +14,7 @@ import numpy as np
 
 from mimic.dynamics.catalogue.kinds import UNLIMITED
 from mimic.dynamics.effect_set import EffectSet
-from mimic.dynamics.machine import Inertias, MachineModel, changed_inertias, make_room, tilted_gravity
+from mimic.dynamics.machine import Inertias, MachineModel, make_room, tilted_gravity
 from mimic.dynamics.servo import inertial_parts, parameters_of
 from mimic.errors import AssetError
 from mimic.io.store import written_whole
@@ -116,14 +116,15 @@ def _write_inertias(spec: Any, machine: MachineModel, p: dict[tuple[str, str], F
     parts = inertial_parts(p)
     if all(part is None for part in parts):
         return
-    made = changed_inertias(Inertias.of(machine.model), machine.body, machine, *parts)
+    made = Inertias.of(machine.model)
+    made.change(machine.body, machine, *parts)
     for b in machine.body:
         body = spec.body(machine.model.body(b).name)
         body.explicitinertial = True
-        body.mass = made.mass[0, b]
-        body.ipos = made.ipos[0, b]
-        body.inertia = made.inertia[0, b]
-        body.iquat = made.iquat[0, b]
+        body.mass = made.mass[b]
+        body.ipos = made.ipos[b]
+        body.inertia = made.inertia[b]
+        body.iquat = made.iquat[b]
         body.fullinertia = np.full(6, np.nan)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mimic.dynamics.machine import MachineModel, as_logged, hung_robot, inertias, read_machine, tilted_gravity
+from mimic.dynamics.machine import Inertias, MachineModel, as_logged, hung_robot, read_machine, tilted_gravity
 from mimic.dynamics.servo import static_model
 from mimic.errors import AssetError
 from mimic.records import JOINTS
@@ -89,16 +89,15 @@ def test_a_tilted_base_is_a_model_that_is_turned(tmp_path: Path) -> None:
     assert static(level, q, gravity)[1] == pytest.approx(static(turned, q)[1], abs=1e-9)
 
 
-def test_masses_and_centres_change_in_each_simulation_by_itself(tmp_path: Path) -> None:
+def test_masses_and_centres_of_links_change(tmp_path: Path) -> None:
     machine = arm(tmp_path)
-    made = inertias(
-        machine, np.array([[1.0, 1.0, 1.0], [2.0, 1.0, 0.5]]), np.array([[0.0] * 3, [0.0, 0.03, 0.0]]), None
-    )
+    made = Inertias.of(machine.model)
+    made.change(machine.body, machine, np.array([2.0, 1.0, 0.5]), np.array([0.0, 0.03, 0.0]), None)
     upper, lower, other = machine.body
-    assert made.mass[0] == pytest.approx(machine.model.body_mass)
-    assert made.mass[1, [upper, lower, other]] == pytest.approx([1.2, 0.3, 0.1])
-    assert made.inertia[1, upper] == pytest.approx(2 * machine.model.body_inertia[upper])
-    assert made.ipos[1, lower] - made.ipos[0, lower] == pytest.approx([0.0, 0.0, -0.03])
+    assert made.mass[[upper, lower, other]] == pytest.approx([1.2, 0.3, 0.1])
+    assert made.inertia[upper] == pytest.approx(2 * machine.model.body_inertia[upper])
+    assert made.ipos[lower] - machine.model.body_ipos[lower] == pytest.approx([0.0, 0.0, -0.03])
+    assert machine.model.body_mass[upper] == pytest.approx(0.6), "the model stays as it was"
 
 
 def test_joints_belong_to_the_chain_of_links_that_they_move(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mimic.dynamics.catalogue.baseline import BASELINE as _BASELINE
+from mimic.dynamics.catalogue.baseline import BASELINE
 from mimic.dynamics.catalogue.commands import COMMANDS
 from mimic.dynamics.catalogue.drive import DRIVE
 from mimic.dynamics.catalogue.encoder import ENCODER
@@ -22,7 +22,7 @@ from mimic.dynamics.catalogue.kinds import MODEL, Effect, Parameter
 from mimic.dynamics.catalogue.transmission import TRANSMISSION
 from mimic.errors import ConfigError
 
-__all__ = ["BASELINE", "CATALOGUE", "MODEL", "Effect", "Parameter", "UnknownEffect", "effect", "scale_of", "unit_of"]
+__all__ = ["CATALOGUE", "MODEL", "Effect", "Parameter", "UnknownEffect", "effect", "scale_of", "unit_of"]
 
 
 class UnknownEffect(ConfigError):
@@ -33,13 +33,10 @@ class UnknownEffect(ConfigError):
         super().__init__(f"effect {name!r} is not in the catalogue; it has {', '.join(CATALOGUE)}")
 
 
-_ALL = (*_BASELINE, *DRIVE, *FRICTION, *TRANSMISSION, *ENCODER, *FORCES, *COMMANDS)
-
-CATALOGUE: Mapping[str, Effect] = {effect.name: effect for effect in _ALL}
+CATALOGUE: Mapping[str, Effect] = {
+    effect.name: effect for effect in (*BASELINE, *DRIVE, *FRICTION, *TRANSMISSION, *ENCODER, *FORCES, *COMMANDS)
+}
 """Every effect by name."""
-
-BASELINE = tuple(e.name for e in _ALL if e.baseline)
-"""Effects that every model has: friction, damping, limb mass, delay. Source: Li et al. 2024, section IV."""
 
 
 _LINEAR = {

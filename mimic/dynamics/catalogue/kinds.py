@@ -71,8 +71,6 @@ class Effect:
     parameters: tuple[Parameter, ...]
     scope: Literal["joint", "machine"] = "joint"
     """Whether each joint has parameters of its own, or the machine has one set."""
-    baseline: bool = False
-    """Part of every model; fitted first."""
     structural: bool = False
     """A threshold or an added state: a derivative at neutral does not see it, so that it begins at its own starts."""
     tip: bool = False
