@@ -12,6 +12,9 @@ from mimic.records import JOINTS, PHASES, FloatArray, RunLog, TargetTrack
 from mimic.records.table import number
 from mimic.robot.description import RobotDescription
 
+LONGEST_LAG = 0.4
+"""Of the toes [s]."""
+
 UPRIGHT_COSINE = 0.9
 """Standing means: base x within this cosine of the wanted direction; the paper's gate."""
 
@@ -56,7 +59,7 @@ def toe_error(log: RunLog) -> FloatArray:
     return np.linalg.norm(log.p_BE[rows] - log.p_BE_des[rows], axis=-1)
 
 
-def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
+def toe_lag(log: RunLog) -> tuple[float, float]:
     """Return the delay that explains most of the toe error [s], and the mean error left with it [m].
 
     The targets are shifted in time by whole ticks; the shift with the least mean error wins.
@@ -68,7 +71,7 @@ def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
     reached = log.p_BE[rows]
     target = log.p_BE_des[rows]
     most = len(rows) // 2
-    shifts = range(min(round(longest / dt) + 1, most))
+    shifts = range(min(round(LONGEST_LAG / dt) + 1, most))
 
     def error(shift: int) -> float:
         apart = reached[shift:] - target[: len(target) - shift]

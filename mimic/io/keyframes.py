@@ -34,6 +34,8 @@ LARGEST = 1_000_000
 """Maximum size of a file or an answer [characters]."""
 DEEPEST = 10
 """Deepest nesting of a file."""
+MOST_SHOWN = 8
+"""Errors that are told."""
 MOST_ITEMS = 20_000
 """Most items of a file."""
 FIELDS = {"duration": 0, "velocity": 2, "heading_deg": 0, "left_deg": 3, "right_deg": 3}
@@ -217,6 +219,7 @@ def _check_size(text: str, name: str) -> None:
             )
 
 
-def one_line(errors: list[str], most: int = 8) -> str:
+def one_line(errors: list[str]) -> str:
     """Return errors as one line of text."""
-    return "; ".join(errors[:most]) + (f"; and {len(errors) - most} more" if len(errors) > most else "")
+    more = len(errors) - MOST_SHOWN
+    return "; ".join(errors[:MOST_SHOWN]) + (f"; and {more} more" if more > 0 else "")

@@ -6,9 +6,6 @@ clear of each other, of the trunk and of the head.
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 
 from mimic.records import FloatArray
@@ -22,36 +19,35 @@ CLEARANCE = 0.011
 """Distance kept between the surface of a toe and anything else [m]."""
 
 
-def leg_joints(p_BE: Any, description: RobotDescription, xp: Any = np) -> tuple[Any, Any]:
+def leg_joints(p_BE: FloatArray, description: RobotDescription) -> tuple[FloatArray, FloatArray]:
     """Return joint positions that bring the front toes to p_BE, by the closed form of a leg.
 
     Args:
         p_BE: Base -> front toe (..., 2, 3) [m].
-        xp: ``numpy`` or ``torch``, whichever ``p_BE`` is from.
 
     Returns:
         Joint positions (..., 2, 3) [rad], and how far each leg is from a solution (..., 2): 0 where all joints lie
         inside their limits with the margin, otherwise the worst excess [rad]; infinite where out of reach.
     """
     left, _ = front_legs(description)  # the right one is its mirror image
-    mirrored = xp.stack([p_BE[..., 1, 0], -p_BE[..., 1, 1], p_BE[..., 1, 2]], -1)
-    q = left.inverse(xp.stack([p_BE[..., 0, :], mirrored], -2), xp)
-    abad = xp.stack([q[..., 0, :, 0], -q[..., 1, :, 0]], -2)
-    q = xp.stack([abad, q[..., 1], q[..., 2]], -1)
-    worst = xp.stack([_excess(q[..., i, :, :], description, 3 * i, xp) for i in range(2)], -2)
+    mirrored = np.stack([p_BE[..., 1, 0], -p_BE[..., 1, 1], p_BE[..., 1, 2]], -1)
+    q = left.inverse(np.stack([p_BE[..., 0, :], mirrored], -2))
+    abad = np.stack([q[..., 0, :, 0], -q[..., 1, :, 0]], -2)
+    q = np.stack([abad, q[..., 1], q[..., 2]], -1)
+    worst = np.stack([_excess(q[..., i, :, :], description, 3 * i) for i in range(2)], -2)
     second = worst[..., 1] < worst[..., 0]
-    best = xp.where(second[..., None], q[..., 1, :], q[..., 0, :])
-    return best, xp.where(second, worst[..., 1], worst[..., 0])
+    best = np.where(second[..., None], q[..., 1, :], q[..., 0, :])
+    return best, np.where(second, worst[..., 1], worst[..., 0])
 
 
-def _excess(q: Any, description: RobotDescription, first: int, xp: Any) -> Any:
+def _excess(q: FloatArray, description: RobotDescription, first: int) -> FloatArray:
     """Return how far the worst joint of a leg's q (..., 3) is beyond its limits (...); infinite where there is no q."""
-    worst = xp.zeros_like(q[..., 0])
+    worst = np.zeros_like(q[..., 0])
     for k in range(3):
         low = float(description.q_min[first + k]) + MARGIN
         high = float(description.q_max[first + k]) - MARGIN
-        worst = xp.maximum(worst, xp.maximum(low - q[..., k], q[..., k] - high))
-    return xp.where(xp.isnan(worst), xp.full_like(worst, math.inf), worst)
+        worst = np.maximum(worst, np.maximum(low - q[..., k], q[..., k] - high))
+    return np.where(np.isnan(worst), np.inf, worst)
 
 
 def clear_of_body(p_BE: FloatArray, q: FloatArray, description: RobotDescription) -> np.ndarray:

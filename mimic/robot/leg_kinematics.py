@@ -44,9 +44,9 @@ class Leg:
         z = -self.thigh * xp.cos(hip) - toe_x * xp.sin(bend) + toe_z * xp.cos(bend)
         return self._out_of_plane(q[..., 0], x, z, xp)
 
-    def knee(self, q: Any, xp: Any = np) -> Any:
+    def knee(self, q: FloatArray) -> FloatArray:
         """Return base -> knee axis (..., 3) [m] for abad, hip and knee (..., 3) [rad]."""
-        return self._out_of_plane(q[..., 0], -self.thigh * xp.sin(q[..., 1]), -self.thigh * xp.cos(q[..., 1]), xp)
+        return self._out_of_plane(q[..., 0], -self.thigh * np.sin(q[..., 1]), -self.thigh * np.cos(q[..., 1]), np)
 
     def _out_of_plane(self, abad: Any, x: Any, z: Any, xp: Any) -> Any:
         """Return base -> point (..., 3) of a point at x, z in the plane of hip and knee, turned by abad."""
@@ -54,14 +54,13 @@ class Leg:
         y = self.offset * xp.cos(abad) - z * xp.sin(abad)
         return xp.stack([ox + x, oy + y, oz + self.offset * xp.sin(abad) + z * xp.cos(abad)], -1)
 
-    def inverse(self, p_BE: Any, xp: Any = np) -> Any:
+    def inverse(self, p_BE: FloatArray) -> FloatArray:
         """Return both postures with a backward knee that put the toe at p_BE.
 
         The first has the toe in front of the hip axis (-z of the abad link), the second behind it.
 
         Args:
             p_BE: Base -> toe (..., 3), base axes [m].
-            xp: ``numpy`` or ``torch``, whichever ``p_BE`` is from.
 
         Returns:
             Joints (..., 2, 3) [rad]; abad in [-pi, pi), hip within pi of ``hip_middle``, knee in [-pi, 0] about the
@@ -77,22 +76,22 @@ class Leg:
         lean = math.atan2(-toe_x, -toe_z)
         with np.errstate(invalid="ignore"):
             square = y * y + z * z - self.offset**2
-            depth = xp.sqrt(xp.where(abs(square) < ROUNDING, xp.zeros_like(square), square))
+            depth = np.sqrt(np.where(abs(square) < ROUNDING, 0.0, square))
             cosine = (x * x + depth * depth - self.thigh**2 - shank**2) / (2 * self.thigh * shank)
-            bend = -xp.arccos(cosine)
-        tilt = xp.arctan2(shank * xp.sin(bend), self.thigh + shank * xp.cos(bend))
-        depths = xp.stack([-depth, depth], -1)
-        abad = xp.arctan2(z, y)[..., None] - xp.arctan2(depths, xp.full_like(depths, self.offset))
-        hip = xp.arctan2(-x[..., None], -depths) - tilt[..., None]
-        knee = xp.zeros_like(hip) + (bend - lean)[..., None]
-        return xp.stack([_wrapped(abad), self._within_half_a_turn(_wrapped(hip), xp), knee], -1)
+            bend = -np.arccos(cosine)
+        tilt = np.arctan2(shank * np.sin(bend), self.thigh + shank * np.cos(bend))
+        depths = np.stack([-depth, depth], -1)
+        abad = np.arctan2(z, y)[..., None] - np.arctan2(depths, self.offset)
+        hip = np.arctan2(-x[..., None], -depths) - tilt[..., None]
+        knee = np.zeros_like(hip) + (bend - lean)[..., None]
+        return np.stack([_wrapped(abad), self._within_half_a_turn(_wrapped(hip)), knee], -1)
 
-    def _within_half_a_turn(self, hip: Any, xp: Any) -> Any:
-        hip = xp.where(hip < self.hip_middle - math.pi, hip + 2 * math.pi, hip)
-        return xp.where(hip >= self.hip_middle + math.pi, hip - 2 * math.pi, hip)
+    def _within_half_a_turn(self, hip: FloatArray) -> FloatArray:
+        hip = np.where(hip < self.hip_middle - math.pi, hip + 2 * math.pi, hip)
+        return np.where(hip >= self.hip_middle + math.pi, hip - 2 * math.pi, hip)
 
 
-def _wrapped(angle: Any) -> Any:
+def _wrapped(angle: FloatArray) -> FloatArray:
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
@@ -125,6 +124,6 @@ def front_toes(q: Any, description: RobotDescription, xp: Any = np) -> Any:
     return xp.stack([leg.forward(q[..., 3 * i : 3 * i + 3], xp) for i, leg in enumerate(front_legs(description))], -2)
 
 
-def all_toes(q: Any, description: RobotDescription, xp: Any = np) -> Any:
+def all_toes(q: FloatArray, description: RobotDescription) -> FloatArray:
     """Return base -> toe of each leg (..., 4, 3) [m], base axes, from joint positions (..., 12) [rad]."""
-    return xp.stack([leg.forward(q[..., 3 * i : 3 * i + 3], xp) for i, leg in enumerate(all_legs(description))], -2)
+    return np.stack([leg.forward(q[..., 3 * i : 3 * i + 3]) for i, leg in enumerate(all_legs(description))], -2)

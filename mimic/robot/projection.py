@@ -15,6 +15,12 @@ SMALL_CURVATURE = 1e-4
 PENALTY = 10.0
 """Weight of a violated inequality [m] against half the squared distance [m^2], per metre of distance and one more."""
 
+MOST_STEPS = 40
+"""Of a search."""
+
+LEAST_GAIN = 1e-12
+"""A step that gains less than this ends the search [m^2]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Local:
@@ -60,9 +66,6 @@ def project(
     q: FloatArray,
     low: FloatArray,
     high: FloatArray,
-    *,
-    steps: int = 40,
-    tolerance: float = 1e-9,
 ) -> tuple[FloatArray, Local]:
     """Return a q whose image is nearest to the wanted one among its neighbours that keep all bounds.
 
@@ -71,15 +74,13 @@ def project(
         wanted: Wanted image (m,) [m].
         q: Where to start (n,) [rad].
         low, high: Bounds (n,) [rad].
-        steps: Most steps.
-        tolerance: A step that promises less than this ends the search [m^2].
     """
     q = np.clip(q, low, high)
     here = look(q)
     trust = 0.5
     eye = np.eye(len(q))
     penalty = PENALTY * (1.0 + float(np.linalg.norm(wanted - here.p)))
-    for _ in range(steps):
+    for _ in range(MOST_STEPS):
         miss = wanted - here.p
         g = -here.jacobian.T @ miss
         h = here.jacobian.T @ here.jacobian - here.curvature(miss)
@@ -100,7 +101,7 @@ def project(
             q = new
             here = there
             trust = min(2.0 * trust, 0.5)
-            if gain < tolerance * 1e-3:
+            if gain < LEAST_GAIN:
                 break
         else:
             trust = 0.25 * max(float(np.max(np.abs(x))), 1e-12)

@@ -120,10 +120,11 @@ class Reach:
         """
         return self._closest(np.asarray(p_wanted, dtype=np.float64), self._postures(p_wanted), q_start)
 
-    def closest_track(self, p_wanted: FloatArray, q_start: FloatArray | None = None) -> Closest:
+    def closest_track(self, p_wanted: FloatArray) -> Closest:
         """Return `closest` for rows in time (T, 2, 3), each started from the row before."""
         p_wanted = np.asarray(p_wanted, dtype=np.float64)
         rows = []
+        q_start = None
         for p, postures in zip(p_wanted, self._postures(p_wanted), strict=True):
             rows.append(self._closest(p, postures, q_start))
             q_start = rows[-1].q

@@ -10,6 +10,9 @@ from mimic.records import FloatArray
 from mimic.sysid.result import Calibration, Errors
 from mimic.view.report.svg import Plot, figure
 
+SPECTRUM_BINS = 110
+"""Of a spectrum, on its logarithmic scale."""
+
 BINS = 24
 """Number of bins in a plot against the state; each has the same number of samples."""
 
@@ -159,9 +162,9 @@ def spectra(calibration: Calibration, unit: Unit) -> list[str]:
     return plots
 
 
-def _log_binned(x: FloatArray, y: FloatArray, bins: int = 110) -> tuple[FloatArray, FloatArray]:
+def _log_binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return means over bins of equal width on a logarithmic scale; a peak inside a bin keeps its height."""
-    edges = np.geomspace(x[0], x[-1] * 1.0001, bins + 1)
+    edges = np.geomspace(x[0], x[-1] * 1.0001, SPECTRUM_BINS + 1)
     index = np.searchsorted(edges, x, side="right")
     groups = [np.flatnonzero(index == k) for k in np.unique(index)]
     means = np.array([np.sqrt((y[g] ** 2).mean()) for g in groups])
