@@ -18,13 +18,11 @@ from mimic.dynamics.lying import sink
 from mimic.dynamics.machine import SOLREF_STEPS, hung_robot, tilted_gravity
 from mimic.dynamics.robot_model import load_model
 from mimic.dynamics.servo import Servo, parameters_of, refuse_stand, static_model
+from mimic.dynamics.thermal import AMBIENT, MotorHeat
 from mimic.emulator.motor import FREE, HOT, Drive
 from mimic.errors import PlantError
 from mimic.records import FloatArray, IntArray
 from mimic.robot.description import RobotDescription, with_timestep
-
-AMBIENT = 25.0
-"""Temperature of a motor that has not worked [degC]; that of the manual's overload table."""
 
 
 class EmulatedBody:
@@ -112,10 +110,8 @@ class EmulatedBody:
         self._tau = np.zeros(12)
         self._jam = np.zeros(12)
         """Additional dry friction of each joint [N m]."""
-        thermal = d.thermal
-        self._share = np.array([[thermal.winding_share], [1.0 - thermal.winding_share]])
-        self._left = np.exp(-timestep / np.array([[thermal.winding_time], [thermal.housing_time]]))
-        self._rise = np.zeros((2, 12))
+        self._heat = MotorHeat(d, np.full(12, AMBIENT))
+        self._rise = np.zeros(12)
         self._readings: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def _place(self, placement: float, suspended: bool) -> None:
@@ -209,8 +205,7 @@ class EmulatedBody:
             self.model.dof_frictionloss[-12:] -= self._jam
         self._law.settle(data.qvel[None, -12:])
         self._tau = np.array(inputs.tau[0])
-        heat = np.square(self._tau / self.description.torque_rated)
-        self._rise = self._left * self._rise + (1 - self._left) * self._share * heat
+        self._rise = self._heat.add(self._tau, h)
         if not math.isfinite(data.qpos.sum()):
             raise PlantError(
                 f"the emulated robot is no longer finite at {self.time:.2f} s; this is a bug, please report it"
@@ -270,7 +265,7 @@ class EmulatedBody:
 
     def temperature(self, joint: int) -> float:
         """Return the temperature of a motor [degC]; it reaches its fault when the winding model reaches its limit."""
-        return AMBIENT + (HOT - AMBIENT) * float(self._rise[:, self._order[joint]].sum())
+        return AMBIENT + (HOT - AMBIENT) * float(self._rise[self._order[joint]])
 
     def base(self) -> tuple[FloatArray, FloatArray]:
         """Return the trunk's orientation, wxyz, and its angular velocity in base axes [rad/s]."""
