@@ -57,38 +57,31 @@ class Parameter:
 
 
 RUN_MODE = 0x7005
-IQ_REF = 0x7006
-SPD_REF = 0x700A
 LIMIT_TORQUE = 0x700B
-LOC_REF = 0x7016
 LIMIT_SPD = 0x7017
-LIMIT_CUR = 0x7018
 MECH_POS = 0x7019
 IQF = 0x701A
-MECH_VEL = 0x701B
 VBUS = 0x701C
-LOC_KP = 0x701E
-SPD_KP = 0x701F
 CAN_TIMEOUT = 0x200C
 
 PARAMETERS: dict[int, Parameter] = {
     RUN_MODE: Parameter(name="run_mode", kind="u8", low=0, high=3),
-    IQ_REF: Parameter(name="iq_ref", kind="f32", unit="A", low=-23, high=23),
-    SPD_REF: Parameter(name="spd_ref", kind="f32", unit="rad/s", low=-30, high=30),
+    0x7006: Parameter(name="iq_ref", kind="f32", unit="A", low=-23, high=23),
+    0x700A: Parameter(name="spd_ref", kind="f32", unit="rad/s", low=-30, high=30),
     LIMIT_TORQUE: Parameter(name="limit_torque", kind="f32", unit="N m", low=0, high=12, default=12),
     0x7010: Parameter(name="cur_kp", kind="f32", default=0.125),
     0x7011: Parameter(name="cur_ki", kind="f32", default=0.0158),
     0x7014: Parameter(name="cur_filt_gain", kind="f32", low=0, high=1, default=0.1),
-    LOC_REF: Parameter(name="loc_ref", kind="f32", unit="rad"),
+    0x7016: Parameter(name="loc_ref", kind="f32", unit="rad"),
     LIMIT_SPD: Parameter(name="limit_spd", kind="f32", unit="rad/s", low=0, high=30),
-    LIMIT_CUR: Parameter(name="limit_cur", kind="f32", unit="A", low=0, high=23, default=23),
+    0x7018: Parameter(name="limit_cur", kind="f32", unit="A", low=0, high=23, default=23),
     MECH_POS: Parameter(name="mechPos", kind="f32", unit="rad", writable=False),
     IQF: Parameter(name="iqf", kind="f32", unit="A", writable=False),
-    MECH_VEL: Parameter(name="mechVel", kind="f32", unit="rad/s", writable=False),
+    0x701B: Parameter(name="mechVel", kind="f32", unit="rad/s", writable=False),
     VBUS: Parameter(name="VBUS", kind="f32", unit="V", default=24, writable=False),
     0x701D: Parameter(name="rotation", kind="i16"),
-    LOC_KP: Parameter(name="loc_kp", kind="f32", default=30),
-    SPD_KP: Parameter(name="spd_kp", kind="f32", default=1),
+    0x701E: Parameter(name="loc_kp", kind="f32", default=30),
+    0x701F: Parameter(name="spd_kp", kind="f32", default=1),
     0x7020: Parameter(name="spd_ki", kind="f32", default=0.002),
     CAN_TIMEOUT: Parameter(name="CAN_TIMEOUT", kind="u32", low=0, high=100000),
 }
