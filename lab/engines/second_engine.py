@@ -28,8 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from lab.policies.studies.calm import SETTLED
 from lab.policies.standing import standing_track
+from lab.policies.studies.calm import SETTLED
 from mimic.config.play import NOMINAL, Randomisation
 from mimic.control.plant import Plant
 from mimic.dynamics.lying import RESTS, RESTS_FOR, SINKS_WITHIN

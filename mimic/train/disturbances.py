@@ -1,4 +1,4 @@
-"""What happens to each training world besides its robot: the same disturbances as in mimic.simulation.disturbances.
+"""What happens to each training world besides its robot: slope, payload, pulls and pushes, and lost commands.
 
 Slope and payload belong to a world and are made with it (`mimic.train.worlds`); what is here is drawn anew for
 every episode. Element-wise over static buffers.

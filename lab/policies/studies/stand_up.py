@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from lab.policies.studies.settings import StandUpSettings
 from lab.policies.standing import standing_track
+from lab.policies.studies.settings import StandUpSettings
 from mimic.config.play import NOMINAL, Randomisation
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
 from mimic.evaluation.policy import STOOD_WITHIN, stands_at_end

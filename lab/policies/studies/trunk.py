@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from lab.policies.studies.settings import TrunkSettings
 from lab.policies.standing import standing_track
+from lab.policies.studies.settings import TrunkSettings
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
 from mimic.evaluation.policy import stands_at_end
 from mimic.geometry import heading_from_quat, rotation_from_quat
