@@ -111,7 +111,7 @@ class EmulatedBody:
         self._jam = np.zeros(12)
         """Additional dry friction of each joint [N m]."""
         self._heat = MotorHeat(d, np.full(12, AMBIENT))
-        self._rise = np.zeros(12)
+        self._rise: FloatArray = np.zeros(12)
         self._readings: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def _place(self, placement: float, suspended: bool) -> None:
