@@ -31,7 +31,7 @@ MIN_ARM_SHARE = 0.8
 """An arm that is visible in a smaller share of the frames is reported."""
 SHOWN_GAPS = 4
 """At most this many of the times at which it is hidden are named, the longest ones."""
-HEADING_KNOWN = "5° wrong of who stands, 17° at most; of who sits 11° and 18°"
+HEADING_KNOWN = "6° wrong of who stands, 17° at most; of who sits 11° and 18°"
 """By how much the heading is off, average and most of thirteen and of four views (lab/people/left_out.py)."""
 DEPTH_VISIBLE = "20–65 %"
 """Share of the motion along the camera axis that BlazePose detects by itself, on rendered and on real videos."""

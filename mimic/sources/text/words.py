@@ -33,11 +33,6 @@ _REWRITTEN = (  # phrases that mean others
     (r"\bone two (?=one two\b)", "one two, "),
     (r"\bthrow (?:an? )?(left|right)(?= (?:and|then|twice)\b|[,;.!?]|$)", r"\1 punch"),
     (r"(?<!left )(?<!right )\b(hand|arm|paw) (left|right) (?=(up|down|out|forward|to)\b)", r"\2 \1 "),
-    (r"\b(and )?(finish|end)(ing)? with\b", "then"),
-    (r"\b(slow|fast|quick) pace\b", r"\1"),
-    (r"\bat (top|full) speed\b", "fast"),
-    (r"\bfull (?=\d)", ""),
-    (r"\btowards? (me|us|the camera)\b", "forward"),
     (r"\b(hold|keep) (that|this)\b(?! (pose|position|posture|still))", r"\1 it"),
     (r"\b(two|three|four|five|six|seven|eight|nine|ten|\d+) each\b", r"\1 times each"),
 )
