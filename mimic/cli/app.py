@@ -282,11 +282,11 @@ def run(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except ImportError as error:
-        if "libGL" not in str(error):
+        if "shared object file" not in str(error):
             raise
-        from mimic.flows.doctor import fix_of_opencv
+        from mimic.flows.doctor import LIBRARIES
 
-        return _failed(f"OpenCV cannot be loaded ({error}); {fix_of_opencv()}")
+        return _failed(f"the system lacks a library ({error}); {LIBRARIES}")
     except OSError as error:
         if error.filename is None and error.errno is None:
             raise

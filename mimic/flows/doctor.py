@@ -27,6 +27,11 @@ EXTRAS = {
 }
 """Extra -> the modules that it adds."""
 
+LIBRARIES = (
+    "apt-get install libgl1 libglib2.0-0 libgomp1; pip install --force-reinstall --no-deps opencv-python-headless does "
+    "without libGL"
+)
+"""What brings the libraries of the system that OpenCV and Pinocchio need."""
 NETWORKS = Path("/sys/class/net")
 """Where Linux lists network interfaces; those of CAN have type 280."""
 
@@ -71,13 +76,8 @@ def _opencv() -> Finding:
     try:
         cv2 = importlib.import_module("cv2")
     except ImportError as error:
-        return Finding(name="opencv", ok=False, text=str(error), fix=fix_of_opencv(), needed=True)
+        return Finding(name="opencv", ok=False, text=str(error), fix=LIBRARIES, needed=True)
     return Finding(name="opencv", ok=True, text=cv2.__version__, needed=True)
-
-
-def fix_of_opencv() -> str:
-    """Return the line that makes OpenCV load."""
-    return "apt-get install libgl1, or pip install --force-reinstall --no-deps opencv-python-headless"
 
 
 def _pose_model() -> Finding:

@@ -31,6 +31,8 @@ MIN_ARM_SHARE = 0.8
 """An arm that is visible in a smaller share of the frames is reported."""
 SHOWN_GAPS = 4
 """At most this many of the times at which it is hidden are named, the longest ones."""
+HEADING_KNOWN = "6° wrong of who stands, 17° at most; of who sits 11° and 18°"
+"""By how much the heading is off, average and most of thirteen and of four views (lab/people/left_out.py)."""
 DEPTH_VISIBLE = "20–65 %"
 """Share of the motion along the camera axis that BlazePose detects by itself, on rendered and on real videos."""
 DOUBTFUL_DEPTH = 0.14
@@ -161,7 +163,7 @@ def depth_note(axis: tuple[float, float, float], spread: FloatArray | None = Non
         what = "reaching along the diagonal toward the camera"
         better = "from the side that shows the motion best"
     where = "behind" if axis[0] > 0.5 else "in front of" if axis[0] < -0.5 else "beside"
-    camera = f"The camera is {where} the person, {off_forward:.0f}° off the forward axis."
+    camera = f"The camera is {where} the person, {off_forward:.0f}° off the forward axis ({HEADING_KNOWN})."
     if spread is None or not len(spread):
         return f"{camera} It sees only {DEPTH_VISIBLE} of {what}; if that matters, film {better}."
     doubtful = float((spread > DOUBTFUL_DEPTH).mean())

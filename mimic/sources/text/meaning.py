@@ -60,6 +60,7 @@ TRUNK_WAYS = {  # for each verb of the trunk the directions that it takes
 }  # fmt: skip
 HALF = 180.0  # of a turn [degrees]
 LASTING = {"squat": "crouch", "bow": "lean"}  # what stays down, for each that comes up again
+UP_AGAIN = {stays: comes for comes, stays in LASTING.items()}
 STAYS = {"hold", "stay", "keep", "remain", "freeze"}
 ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
 LITTLE = {"turn": ("degrees", 30.0), "walk": ("metres", 0.25), "step": ("metres", 0.15)}
@@ -754,7 +755,9 @@ class _Reader:
         now.refuse("degrees" in now.amounts and now.kind not in ("BOW", "LEAN"), "has degrees; say them of a bow")
         way = "a little" if now.has("LITTLE") else ""
         amounts = dict(now.amounts)
-        return Action(verb=now.kind.lower(), sides=("trunk",), way=way, amounts=amounts, stays=now.stays, speed=speed)
+        verb = now.kind.lower()
+        verb = UP_AGAIN.get(verb, verb) if "times" in amounts else verb
+        return Action(verb=verb, sides=("trunk",), way=way, amounts=amounts, stays=now.stays, speed=speed)
 
     def _of_hands(self, now: Clause, speed: float) -> Action:
         now.refuse("bare" in now.amounts, f"has the number {now.amounts.get('bare', 0):g} without a unit; say times")
@@ -852,8 +855,8 @@ class _Item:
         bare = more.clauses[0]
         last = self.clauses[-1]
         times = int(bare.amounts.get("times", 0))
-        counted = [clause for clause in self.clauses if clause.amounts]
-        if len(self.clauses) > 1 and times and counted and not bare.has("EACH"):
+        whole = any(clause.amounts for clause in self.clauses) or last.kind in ("LOWER", "CLOSE")
+        if len(self.clauses) > 1 and times and whole and not bare.has("EACH"):
             self.rounds = times
         else:
             last.add(bare)

@@ -33,8 +33,6 @@ _REWRITTEN = (  # phrases that mean others
     (r"\bone two (?=one two\b)", "one two, "),
     (r"\bthrow (?:an? )?(left|right)(?= (?:and|then|twice)\b|[,;.!?]|$)", r"\1 punch"),
     (r"(?<!left )(?<!right )\b(hand|arm|paw) (left|right) (?=(up|down|out|forward|to)\b)", r"\2 \1 "),
-    (r"\b(and )?(finish|end)(ing)? with\b", "then"),
-    (r"\b(slow|fast|quick) pace\b", r"\1"),
     (r"\b(hold|keep) (that|this)\b(?! (pose|position|posture|still))", r"\1 it"),
     (r"\b(two|three|four|five|six|seven|eight|nine|ten|\d+) each\b", r"\1 times each"),
 )
@@ -118,7 +116,7 @@ def prepared(sentence: str) -> tuple[str, dict[str, str]]:
     text = _after_what_is_done(" ".join(text.split()), gerunds)
     if found := re.search(r"\bstop ing (?!move)\w+", text):
         raise SourceError(f"'{found[0].replace(' ing', '')}': nothing goes on that could stop; say what to do instead")
-    return re.sub(r"^[\s,;.!?]+(ing )?|^ing |(?<=[,;.!?])\s*,|[\s,]+$", "", text), {
+    return re.sub(r"^([\s,;.!?]|(and|but|so)\b)+(ing )?|^ing |(?<=[,;.!?])\s*,|[\s,]+$", "", text), {
         word: meant for word, meant in read.items() if word != meant
     }
 

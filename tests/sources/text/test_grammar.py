@@ -328,6 +328,10 @@ def test_what_a_verb_does_not_use_is_an_error_and_never_dropped(sentence, word, 
         ("wafe and stpe", "wave and step"),
         ("hey doggy, put ur paws up, thank you very much", "put your hands up"),
         ("turn left a little bit", "turn left 30 degrees"),
+        ("turn a full 360 to the right", "turn right 360 degrees"),
+        ("and now walk towards me at top speed for 2 s", "walk forward fast for 2 s"),
+        ("bend your knees twice", "squat twice"),
+        ("raise your right hand and lower it again, twice", "right hand up, down, up, down"),
     ],
 )
 def test_two_sentences_with_one_meaning_make_the_same_motion(sentence, same, plan):
