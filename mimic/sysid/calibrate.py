@@ -354,7 +354,7 @@ def _by_log(
     if data.logs == 1 and not others:
         return ()
     old, new = (by_log(one) for one in ends)
-    apart = [by_log(one, one.unseen()) for one in ends] if data.apart.any() else None
+    apart = [by_log(one, one.left_out(one.data.apart)) for one in ends] if data.apart.any() else None
     found = []
     for k, name in enumerate(data.names):
         left_out = (None, None) if apart is None else (apart[0][k], apart[1][k])

@@ -83,9 +83,11 @@ class Passes:
         return round(self._counted[0])
 
     def of(self, data: Data) -> Passes:
-        """Return passes over other data, counted together."""
+        """Return passes over other data, counted together; those over the same record are known."""
         made = copy(self)
-        made._over(data)
+        made.data = data
+        if data.record is not self.data.record:
+            made._over(data)
         return made
 
     def run(
@@ -475,34 +477,19 @@ class Model:
         sized = now.sized()
         return now if sized is now else sized.fitted(most // 2, enough)
 
-    def left_out(self) -> FloatArray:
-        """Return the errors (T, J) in each fold of blocks after a linear step without it."""
+    def left_out(self, fold: IntArray | None = None) -> FloatArray:
+        """Return the errors (T, J) in each fold of blocks (B,), by default the data's, after a fit to the others from
+        where it is with them.
+        """
         now = self.differentiated()
-        assert now.columns is not None
-        data = self.data
-        total, down = now.normal()
-        prior = now.plausibility(self.values())
-        small = 1e-6 * np.diag(np.diag(total)) + 1e-12 * np.eye(len(down))
-        small[np.diag_indices_from(small)] += np.where(now.stopped(down + prior[1]), 1e6 * np.diag(total), 0.0)
+        fold = now.data.fold if fold is None else fold
         e = now.e.copy()
-        for k in range(data.fold.max() + 1):
-            rows = (data.fold == k)[data.block]
-            hessian, descent = now.normal(rows)
-            step = np.linalg.solve(total - hessian + prior[0] + small, down - descent + prior[1])
-            for f, x, column in zip(now.free, step, now.columns, strict=True):
-                e[rows, now.moved(f)] += x * column[rows]
-        return e
-
-    def unseen(self) -> FloatArray:
-        """Return the errors (T, J) in whole logs after a fit to the others, from where it is with them."""
-        now = self.differentiated()
-        e = now.e.copy()
-        for k in range(now.data.apart.max() + 1):
-            rows = (now.data.apart == k)[now.data.block]
+        for k in range(fold.max() + 1):
+            rows = (fold == k)[now.data.block]
             data = replace(now.data, counts=now.data.counts & ~rows[:, None])
             setting = replace(now.setting, passes=now.setting.passes.of(data))
             known = replace(now, setting=setting).evaluated()
-            e[rows] = replace(known, columns=now.columns).fitted(2).e[rows]
+            e[rows] = replace(known, columns=now.columns).fitted(0).e[rows]
         return e
 
     def held_out(self) -> FloatArray:
