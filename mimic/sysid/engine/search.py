@@ -310,10 +310,11 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
         best, others, dropped = _exchanged(best, null, hunt, (others, dropped))
     seen = best
     best = _confirmed(best, null, hunt)
-    rivals = [*others, *dropped] if best is seen else []
-    best = scored(best.model.settled(4))
+    if best is not seen:
+        others = dropped = []
+    best, *others = ranked([scored(one.model.settled(4)) for one in (best, *others)])
     ties = {}
-    for one in rivals:
+    for one in (*others, *dropped):
         by = best.apart(one)
         if by < max(TIED, best.unsure(one)) and one.model.effects != best.model.effects:
             ties[one.model.effects] = one.model, by
