@@ -20,7 +20,7 @@ from mimic.sysid.engine.laws import DROP, KEYS, ROW
 from mimic.sysid.engine.likelihood import DECAY, Gains, misfit, scales, weights
 from mimic.sysid.engine.predictor import Arrays, arrays_of, part_of, predict
 from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
-from mimic.sysid.log.noise import SMOOTH
+from mimic.sysid.log.noise import smooth
 
 STEP = 1.25e-3
 """Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
@@ -243,8 +243,7 @@ class Model:
         table = self.table.copy()
         for f, value in zip(self.free, x, strict=True):
             where = slice(None) if f.joint < 0 else f.joint
-            value = np.clip(value, f.centre - f.within, f.centre + f.within)
-            table[ROW[f.key], where] = from_fit(_parameter(f), float(value))
+            table[ROW[f.key], where] = from_fit(_parameter(f), float(np.clip(value, *_ends(f))))
         return table
 
     def implausible(self, x: FloatArray) -> float:
@@ -255,9 +254,7 @@ class Model:
         """Return which numbers are at an end of what they may be, and would go on (P,)."""
         out = np.zeros(len(self.free), dtype=bool)
         for k, (f, x) in enumerate(zip(self.free, self.values(), strict=True)):
-            low, high = _bounds(_parameter(f))
-            low = max(low, f.centre - f.within)
-            high = min(high, f.centre + f.within)
+            low, high = _ends(f)
             near = 1e-6 * min(high - low, 1.0)
             out[k] = (x <= low + near and descent[k] < 0.0) or (x >= high - near and descent[k] > 0.0)
         return out
@@ -300,8 +297,7 @@ class Model:
         for k, f in list(enumerate(self.free))[first:]:
             rough = CATALOGUE[f.key[0]].structural
             by = PART[0 if rough else 1] * self.setting.difference(f.key, f.joint)
-            high = _bounds(_parameter(f))[1]
-            shift[k] = by if x[k] + by <= min(high, f.centre + f.within) else -by
+            shift[k] = by if x[k] + by <= _ends(f)[1] else -by
         colours = np.full(len(x), -1)
         colours[first:] = _colours(self.free[first:], np.asarray(data.machine.chain))
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
@@ -328,9 +324,13 @@ class Model:
 
     def numbers(self) -> float:
         """Return how many numbers the logs determine, beside what is plausible of them."""
-        hessian = self.differentiated().normal()[0]
-        prior = self.plausibility(self.values())[0]
-        return float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), hessian)))
+        now = self.differentiated()
+        return now._share(now.normal()[0])
+
+    def _share(self, of: FloatArray) -> float:
+        """Return the trace of a matrix (P, P) over the Hessian of the cost."""
+        total = self.normal()[0] + self.plausibility(self.values())[0]
+        return float(np.trace(np.linalg.solve(total + 1e-12 * np.eye(len(total)), of)))
 
     def repeats(self) -> float:
         """Return how often errors repeat themselves within a block, as the numbers feel it: how much more the descents
@@ -338,11 +338,7 @@ class Model:
         """
         now = self.differentiated()
         felt = now._felt()
-        varied = np.cov(felt) * felt.shape[1]
-        hessian = now.normal()[0]
-        prior = now.plausibility(now.values())[0]
-        share = float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), varied)))
-        return max(share / max(now.numbers(), 1.0), 1.0)
+        return max(now._share(np.cov(felt) * felt.shape[1]) / max(now.numbers(), 1.0), 1.0)
 
     def _felt(self) -> FloatArray:
         """Return minus the descent of each number in each block (P, B)."""
@@ -396,16 +392,13 @@ class Model:
                 fresh = True
                 most = most - 1
             better, damping = now._step(damping, 5 if fresh else 1)
-            if better is None and fresh:
-                break
-            if better is None:
-                now = replace(now, columns=None)
-                continue
-            gained = now.cost - better.cost
-            now = replace(better, columns=now._secant(better))
-            if gained < enough and fresh:
-                break
+            gained = 0.0
+            if better is not None:
+                gained = now.cost - better.cost
+                now = replace(better, columns=now._secant(better))
             if gained < enough:
+                if fresh:
+                    break
                 now = replace(now, columns=None)
             fresh = False
         return now
@@ -510,8 +503,11 @@ def _parameter(f: Free) -> Parameter:
     return CATALOGUE[f.key[0]].parameter(f.key[1])
 
 
-def _bounds(p: Parameter) -> tuple[float, float]:
-    return (float(np.log(p.low)), float(np.log(p.high))) if relative(p) else p.bounds
+def _ends(f: Free) -> tuple[float, float]:
+    """Return the least and greatest of what is fitted."""
+    p = _parameter(f)
+    low, high = (float(np.log(p.low)), float(np.log(p.high))) if relative(p) else p.bounds
+    return max(low, f.centre - f.within), min(high, f.centre + f.within)
 
 
 def _colours(free: Sequence[Free], chain: IntArray) -> IntArray:
@@ -552,26 +548,24 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     record = data.record
     q = np.nan_to_num(record.y, nan=0.0)
     known = np.isfinite(record.y)
-    dt = np.gradient(record.t)
-    smooth = np.stack([np.interp(record.t, record.t[known[:, j]], q[known[:, j], j]) for j in range(n)], -1)
+    calm = smooth(
+        record.t, np.stack([np.interp(record.t, record.t[known[:, j]], q[known[:, j], j]) for j in range(n)], -1)
+    )
     joints, shape = packed(data.tree)
     one = np.ones(n)
     tree = data.tree
     links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0.0 * one, 0.0 * one)
     room = np.zeros((n, ROOM))
     mass = np.zeros((n, n))
-    room[:, AT] = np.median(smooth, axis=0)
+    room[:, AT] = np.median(calm, axis=0)
     dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
     rotor = blank[ROW["armature", "inertia"]]
     inertia = np.diag(mass) + rotor
-    width = max(round(SMOOTH / float(np.median(dt))), 1)
-    kernel = np.ones(width) / width
-    calm = np.stack([np.convolve(c, kernel, mode="same") for c in smooth.T], -1)
     speed = np.gradient(calm, record.t, axis=0)
     faster = np.gradient(speed, record.t, axis=0)
     used = data.counts & (np.abs(speed) < 1e3)
-    needed = np.zeros_like(smooth)
-    for i in range(0, len(smooth), 5):
+    needed = np.zeros_like(calm)
+    for i in range(0, len(calm), 5):
         room[:, AT] = calm[i]
         room[:, MOVING] = speed[i]
         dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
