@@ -20,7 +20,7 @@ from mimic.sysid.engine.laws import DROP, KEYS, ROW
 from mimic.sysid.engine.likelihood import DECAY, Gains, misfit, scales, weights
 from mimic.sysid.engine.predictor import Arrays, arrays_of, part_of, predict
 from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
-from mimic.sysid.log.noise import smooth
+from mimic.sysid.log.noise import SMOOTH
 
 STEP = 1.25e-3
 """Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
@@ -548,24 +548,26 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     record = data.record
     q = np.nan_to_num(record.y, nan=0.0)
     known = np.isfinite(record.y)
-    calm = smooth(
-        record.t, np.stack([np.interp(record.t, record.t[known[:, j]], q[known[:, j], j]) for j in range(n)], -1)
-    )
+    dt = np.gradient(record.t)
+    smooth = np.stack([np.interp(record.t, record.t[known[:, j]], q[known[:, j], j]) for j in range(n)], -1)
     joints, shape = packed(data.tree)
     one = np.ones(n)
     tree = data.tree
     links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0.0 * one, 0.0 * one)
     room = np.zeros((n, ROOM))
     mass = np.zeros((n, n))
-    room[:, AT] = np.median(calm, axis=0)
+    room[:, AT] = np.median(smooth, axis=0)
     dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
     rotor = blank[ROW["armature", "inertia"]]
     inertia = np.diag(mass) + rotor
+    width = max(round(SMOOTH / float(np.median(dt))), 1)
+    kernel = np.ones(width) / width
+    calm = np.stack([np.convolve(c, kernel, mode="same") for c in smooth.T], -1)
     speed = np.gradient(calm, record.t, axis=0)
     faster = np.gradient(speed, record.t, axis=0)
     used = data.counts & (np.abs(speed) < 1e3)
-    needed = np.zeros_like(calm)
-    for i in range(0, len(calm), 5):
+    needed = np.zeros_like(smooth)
+    for i in range(0, len(smooth), 5):
         room[:, AT] = calm[i]
         room[:, MOVING] = speed[i]
         dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
