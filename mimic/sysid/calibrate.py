@@ -353,28 +353,16 @@ def _by_log(
     data = ends[1].data
     if data.logs == 1 and not others:
         return ()
-    old, new = (by_log(one) for one in ends)
-    apart = [by_log(one, one.unseen()) for one in ends] if data.apart.any() else None
-    found = []
-    for k, name in enumerate(data.names):
-        left_out = (None, None) if apart is None else (apart[0][k], apart[1][k])
-        found.append(
-            LogErrors(
-                name=name,
-                fitted=True,
-                baseline=old[k],
-                final=new[k],
-                left_out_baseline=left_out[0],
-                left_out_final=left_out[1],
-            )
-        )
+    sides = [by_log(one) for one in ends]
+    if data.apart.any():
+        sides += [by_log(one, one.left_out(one.data.apart)) for one in ends]
+    found = [LogErrors(name, True, *rows) for name, *rows in zip(data.names, *sides, strict=True)]
     if others:
         unseen = data_of(others, model, names)
         alike = [times for times in unseen.sending if times.how == data.times.how]
         unseen = unseen.sent_at(alike[0]) if alike else unseen
         old, new = (by_log(_over(one, unseen)) for one in ends)
-        for k, name in enumerate(unseen.names):
-            found.append(LogErrors(name=name, fitted=False, baseline=old[k], final=new[k]))
+        found += [LogErrors(name, False, *rows) for name, *rows in zip(unseen.names, old, new, strict=True)]
     return tuple(found)
 
 

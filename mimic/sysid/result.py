@@ -37,7 +37,7 @@ class Errors:
         return float((values**2).mean() ** 0.5)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class LogErrors:
     """Root mean square of measured - predicted of one of several logs, (J,) in the unit of the positions."""
 

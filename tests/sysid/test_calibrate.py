@@ -276,7 +276,6 @@ def test_what_a_coarse_encoder_rounds_off_is_noise_to_all_else(coarse: Calibrati
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="errors are 1.7 standard errors on average, 4.5 at most")
 def test_with_a_coarse_encoder_intervals_hold_the_truth(coarse: Calibration) -> None:
     effects = {e.name: e for e in coarse.effects}
     off = []

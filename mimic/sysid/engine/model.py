@@ -83,9 +83,11 @@ class Passes:
         return round(self._counted[0])
 
     def of(self, data: Data) -> Passes:
-        """Return passes over other data, counted together."""
+        """Return passes over other data, counted together; those over the same record are known."""
         made = copy(self)
-        made._over(data)
+        made.data = data
+        if data.record is not self.data.record:
+            made._over(data)
         return made
 
     def run(
@@ -241,8 +243,7 @@ class Model:
         table = self.table.copy()
         for f, value in zip(self.free, x, strict=True):
             where = slice(None) if f.joint < 0 else f.joint
-            value = np.clip(value, f.centre - f.within, f.centre + f.within)
-            table[ROW[f.key], where] = from_fit(_parameter(f), float(value))
+            table[ROW[f.key], where] = from_fit(_parameter(f), float(np.clip(value, *_ends(f))))
         return table
 
     def implausible(self, x: FloatArray) -> float:
@@ -253,9 +254,7 @@ class Model:
         """Return which numbers are at an end of what they may be, and would go on (P,)."""
         out = np.zeros(len(self.free), dtype=bool)
         for k, (f, x) in enumerate(zip(self.free, self.values(), strict=True)):
-            low, high = _bounds(_parameter(f))
-            low = max(low, f.centre - f.within)
-            high = min(high, f.centre + f.within)
+            low, high = _ends(f)
             near = 1e-6 * min(high - low, 1.0)
             out[k] = (x <= low + near and descent[k] < 0.0) or (x >= high - near and descent[k] > 0.0)
         return out
@@ -298,8 +297,7 @@ class Model:
         for k, f in list(enumerate(self.free))[first:]:
             rough = CATALOGUE[f.key[0]].structural
             by = PART[0 if rough else 1] * self.setting.difference(f.key, f.joint)
-            high = _bounds(_parameter(f))[1]
-            shift[k] = by if x[k] + by <= min(high, f.centre + f.within) else -by
+            shift[k] = by if x[k] + by <= _ends(f)[1] else -by
         colours = np.full(len(x), -1)
         colours[first:] = _colours(self.free[first:], np.asarray(data.machine.chain))
         tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
@@ -326,9 +324,13 @@ class Model:
 
     def numbers(self) -> float:
         """Return how many numbers the logs determine, beside what is plausible of them."""
-        hessian = self.differentiated().normal()[0]
-        prior = self.plausibility(self.values())[0]
-        return float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), hessian)))
+        now = self.differentiated()
+        return now._share(now.normal()[0])
+
+    def _share(self, of: FloatArray) -> float:
+        """Return the trace of a matrix (P, P) over the Hessian of the cost."""
+        total = self.normal()[0] + self.plausibility(self.values())[0]
+        return float(np.trace(np.linalg.solve(total + 1e-12 * np.eye(len(total)), of)))
 
     def repeats(self) -> float:
         """Return how often errors repeat themselves within a block, as the numbers feel it: how much more the descents
@@ -336,11 +338,7 @@ class Model:
         """
         now = self.differentiated()
         felt = now._felt()
-        varied = np.cov(felt) * felt.shape[1]
-        hessian = now.normal()[0]
-        prior = now.plausibility(now.values())[0]
-        share = float(np.trace(np.linalg.solve(hessian + prior + 1e-12 * np.eye(len(prior)), varied)))
-        return max(share / max(now.numbers(), 1.0), 1.0)
+        return max(now._share(np.cov(felt) * felt.shape[1]) / max(now.numbers(), 1.0), 1.0)
 
     def _felt(self) -> FloatArray:
         """Return minus the descent of each number in each block (P, B)."""
@@ -394,16 +392,13 @@ class Model:
                 fresh = True
                 most = most - 1
             better, damping = now._step(damping, 5 if fresh else 1)
-            if better is None and fresh:
-                break
-            if better is None:
-                now = replace(now, columns=None)
-                continue
-            gained = now.cost - better.cost
-            now = replace(better, columns=now._secant(better))
-            if gained < enough and fresh:
-                break
+            gained = 0.0
+            if better is not None:
+                gained = now.cost - better.cost
+                now = replace(better, columns=now._secant(better))
             if gained < enough:
+                if fresh:
+                    break
                 now = replace(now, columns=None)
             fresh = False
         return now
@@ -475,34 +470,19 @@ class Model:
         sized = now.sized()
         return now if sized is now else sized.fitted(most // 2, enough)
 
-    def left_out(self) -> FloatArray:
-        """Return the errors (T, J) in each fold of blocks after a linear step without it."""
+    def left_out(self, fold: IntArray | None = None) -> FloatArray:
+        """Return the errors (T, J) in each fold of blocks (B,), by default the data's, after a fit to the others from
+        where it is with them.
+        """
         now = self.differentiated()
-        assert now.columns is not None
-        data = self.data
-        total, down = now.normal()
-        prior = now.plausibility(self.values())
-        small = 1e-6 * np.diag(np.diag(total)) + 1e-12 * np.eye(len(down))
-        small[np.diag_indices_from(small)] += np.where(now.stopped(down + prior[1]), 1e6 * np.diag(total), 0.0)
+        fold = now.data.fold if fold is None else fold
         e = now.e.copy()
-        for k in range(data.fold.max() + 1):
-            rows = (data.fold == k)[data.block]
-            hessian, descent = now.normal(rows)
-            step = np.linalg.solve(total - hessian + prior[0] + small, down - descent + prior[1])
-            for f, x, column in zip(now.free, step, now.columns, strict=True):
-                e[rows, now.moved(f)] += x * column[rows]
-        return e
-
-    def unseen(self) -> FloatArray:
-        """Return the errors (T, J) in whole logs after a fit to the others, from where it is with them."""
-        now = self.differentiated()
-        e = now.e.copy()
-        for k in range(now.data.apart.max() + 1):
-            rows = (now.data.apart == k)[now.data.block]
+        for k in range(fold.max() + 1):
+            rows = (fold == k)[now.data.block]
             data = replace(now.data, counts=now.data.counts & ~rows[:, None])
             setting = replace(now.setting, passes=now.setting.passes.of(data))
             known = replace(now, setting=setting).evaluated()
-            e[rows] = replace(known, columns=now.columns).fitted(2).e[rows]
+            e[rows] = replace(known, columns=now.columns).fitted(0).e[rows]
         return e
 
     def held_out(self) -> FloatArray:
@@ -523,8 +503,11 @@ def _parameter(f: Free) -> Parameter:
     return CATALOGUE[f.key[0]].parameter(f.key[1])
 
 
-def _bounds(p: Parameter) -> tuple[float, float]:
-    return (float(np.log(p.low)), float(np.log(p.high))) if relative(p) else p.bounds
+def _ends(f: Free) -> tuple[float, float]:
+    """Return the least and greatest of what is fitted."""
+    p = _parameter(f)
+    low, high = (float(np.log(p.low)), float(np.log(p.high))) if relative(p) else p.bounds
+    return max(low, f.centre - f.within), min(high, f.centre + f.within)
 
 
 def _colours(free: Sequence[Free], chain: IntArray) -> IntArray:

@@ -91,9 +91,6 @@ RING = 0.6
 USUAL = 1.25e-3
 """Step to which that refers [s]."""
 
-RIGID = 5e-3
-"""Time for which masses, gravity and Coriolis forces are those in its middle [s]: drives and friction change faster."""
-
 TRIES = 4
 """Most solutions of a step: until torques are those of the speeds that they lead to."""
 
@@ -517,33 +514,23 @@ def half(p, s, h):  # type: ignore[no-untyped-def]
     return whole
 
 
-@inlined
-def ahead(p, s, room, h, time):  # type: ignore[no-untyped-def]
-    """Write where the links will be in the middle of some time, from the middle of its first step."""
-    for j in range(s.shape[1]):
-        room[j, MOVING] = s[V, j] + 0.5 * time * s[GAINED, j]
-        room[j, AT] = s[Q, j] + 0.5 * (time - h) * room[j, MOVING]
-
-
 @njit(cache=True, error_model="numpy", fastmath=FAST_MATH, _nrt=False)  # type: ignore[call-overload]
 def advanced(machine, logs, p, s, rooms, i, steps, h, kept):  # type: ignore[no-untyped-def]
     """Bring a state to row i; return whether the machine holds together."""
     joints, shape, loads, pull = machine
     clock, inputs, marks, sent, goal, motors = logs
     room, mass, acts, a, solve = rooms
-    together = max(int(RIGID / h + 1e-3), 1)
     for k in range(steps):
         now = clock[i - 1, TIME] + k * h
         end = now + h
-        new = k % together == 0
         while now < end:
             then = until(sent, p, s, now, end)
             part = then - now
             half(p, s, part)
-            if new:
-                ahead(p, s, room, part, min(together, steps - k) * h)
-                dynamics(joints, shape, loads, marks[i, LOG], pull, room, mass)
-                new = False
+            for j in range(s.shape[1]):
+                room[j, AT] = s[Q, j]
+                room[j, MOVING] = s[V, j] + 0.5 * part * s[GAINED, j]
+            dynamics(joints, shape, loads, marks[i, LOG], pull, room, mass)
             ask(clock, inputs, goal, motors, p, s, acts, i, now, part)
             move(joints, shape, p, s, acts, room, mass, a, solve, part)
             if not half(p, s, part):

@@ -19,7 +19,7 @@ from mimic.dynamics.law import OF_DRIVES
 from mimic.records import FloatArray
 from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.likelihood import weights
-from mimic.sysid.engine.model import STEP, Free, Model, Setting, from_fit, to_fit
+from mimic.sysid.engine.model import COARSE, STEP, Free, Model, Setting, from_fit, to_fit
 
 PLACES = 4
 """Most places at which a number that has many is tried, from the first to the last."""
@@ -183,10 +183,10 @@ class Screen:
         out: list[FloatArray] = []
         run = self.model.setting.passes.run
         gains = self.model.gains
-        (still,) = run([self.model.table], gains, 2.0 * STEP)
+        (still,) = run([self.model.table], gains, COARSE)
         for name, _, _, tables in jobs:
             fine = CATALOGUE[name].structural
-            made = run(tables, gains, STEP if fine else 2.0 * STEP)
+            made = run(tables, gains, STEP if fine else COARSE)
             out += [e - (self.model.e if fine else still) for e in made]
         return out
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, cmp_to_key
 
 import numpy as np
 
@@ -224,6 +224,11 @@ def scored(model: Model) -> Scored:
     )
 
 
+def ranked(models: Sequence[Scored]) -> list[Scored]:
+    """Return models, each before those that it is better than: what each gains over a third counts its own readings."""
+    return sorted(models, key=cmp_to_key(lambda one, other: other.over(one)))
+
+
 def trimmed(one: Scored) -> Scored:
     """Return a model without numbers of its effects that do not pay, but for the one by which an effect is itself: that
     named first.
@@ -305,10 +310,11 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
         best, others, dropped = _exchanged(best, null, hunt, (others, dropped))
     seen = best
     best = _confirmed(best, null, hunt)
-    rivals = [*others, *dropped] if best is seen else []
-    best = scored(best.model.settled(4))
+    if best is not seen:
+        others = dropped = []
+    best, *others = ranked([scored(one.model.settled(4)) for one in (best, *others)])
     ties = {}
-    for one in rivals:
+    for one in (*others, *dropped):
         by = best.apart(one)
         if by < max(TIED, best.unsure(one)) and one.model.effects != best.model.effects:
             ties[one.model.effects] = one.model, by
@@ -372,7 +378,7 @@ def _confirmed(best: Scored, null: Scored, hunt: Hunt) -> Scored:
     """Return a model without the effects of which whole logs that are left out say nothing."""
     while best.model.effects and best.model.data.apart.any() and not _predicts(best.model, null.model):
         parts = [scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)]
-        best = max(parts, default=null, key=lambda s: s.over(null))
+        best = ranked(parts)[0] if parts else null
         hunt.say(f"whole logs left out do not confirm more than {describe(best.model)}")
     return best
 
@@ -405,7 +411,7 @@ def _predicts(model: Model, null: Model) -> bool:
     """Return whether a model predicts whole logs better than the baseline under fits without them, in a geometric mean
     over logs and joints.
     """
-    new, old = (by_log(one, one.unseen()) for one in (model, null))
+    new, old = (by_log(one, one.left_out(one.data.apart)) for one in (model, null))
     return float(np.log(new / old).mean()) < 0.0
 
 
@@ -439,8 +445,7 @@ def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
     """Return models with one effect more, best first."""
     model = now.model
     chosen: list[Found] = []
-    ranked = sorted(Screen(model).run(hunt.effects), key=lambda f: now.repeats * PRICE * f.numbers - f.gain)
-    for one in ranked:
+    for one in sorted(Screen(model).run(hunt.effects), key=lambda f: now.repeats * PRICE * f.numbers - f.gain):
         if sum(other.name == one.name for other in chosen) < SETS and (one.gain > 0.0 or one.rough):
             chosen.append(one)
     hunt.tried.extend(
@@ -459,8 +464,8 @@ def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
     for steps, left in ((0, WIDTH), (1, LAST), (2, LAST)):
         refined = [one.fitted(steps, enough) for one in fits]
         fits = sorted(refined, key=lambda m: m.cost + now.repeats * PRICE * len(m.free))[:left]
-    made = sorted((scored(one.settled(8, enough)) for one in fits), key=lambda s: -s.over(now))
-    made = sorted([trimmed(one) for one in made[:2]] + made[2:], key=lambda s: -s.over(now))
+    made = ranked([scored(one.settled(8, enough)) for one in fits])
+    made = ranked([trimmed(one) for one in made[:2]] + made[2:])
     for one in made:
         name, joints = one.model.effects[-1]
         gain = one.over(now)
@@ -483,7 +488,7 @@ def backwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scor
         tried = [scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)]
         if not tried:
             break
-        first = max(tried, key=lambda s: s.over(best))
+        first = ranked(tried)[0]
         hunt.say(f"checking {describe(best.model)}")
         if better(best, first):
             break

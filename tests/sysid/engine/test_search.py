@@ -77,7 +77,7 @@ def test_what_is_named_is_confirmed_by_whole_logs_left_out(pair, log_of):
     logs = [log_of(pair, SPRING, fast=fast) for fast in (0.0, 0.1, 0.2)]
     outcome = found(logs, pair)
     assert describe(outcome.best.model) == "spring (a)"
-    new, old = (np.nanstd(one.model.unseen()[:, 0]) for one in (outcome.best, outcome.null))
+    new, old = (np.nanstd(one.model.left_out(one.model.data.apart)[:, 0]) for one in (outcome.best, outcome.null))
     assert new < 0.2 * old
 
 
