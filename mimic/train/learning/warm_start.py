@@ -27,6 +27,42 @@ MEANING = ("joints", "action_scale", "action_clip", "dt")
 """Fields of the contract without which the numbers of a network mean something else."""
 
 
+@dataclass(frozen=True)
+class Network:
+    """The numbers of a policy's network."""
+
+    mean: FloatArray
+    """Mean of the observation (seen,)."""
+    scale: FloatArray
+    """What the rest is divided by (seen,)."""
+    layers: list[tuple[FloatArray, FloatArray]]
+    """Weights (out, in) and biases (out,)."""
+
+
+def as_seen(path: Path, contract: PolicyContract, sizes: Sequence[tuple[int, int]]) -> tuple[PolicyContract, Network]:
+    """Return the contract of a policy, and its network for the observations of another contract.
+
+    Args:
+        path: An ONNX policy as this package writes it.
+        contract: Whose observations the network sees.
+        sizes: Of its layers (out, in).
+
+    Raises:
+        AssetError, ContractError, ConfigError: As by `take_over`.
+    """
+    model = _load(path)
+    metadata = {entry.key: entry.value for entry in model.metadata_props}
+    known = PolicyContract.from_json(metadata.get(METADATA_KEY, "{}"))
+    _compare(path.name, known, contract)
+    network = _network(path, model)
+    _compare_layers(path.name, known, contract, network, sizes)
+    means, scales, columns = _first_layer(network, known, contract)
+    _, bias = network.layers[0]
+    if known.columns("toe_command").size:  # which is no longer seen: as if arms were at rest
+        bias = bias + _of_neutral_toes(network, known)
+    return known, Network(means, scales, [(columns, bias), *network.layers[1:]])
+
+
 def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -> bool:
     """Put the network of a policy into an actor of rsl_rl, which then acts as the policy does.
 
@@ -48,41 +84,19 @@ def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -
         ContractError: If it declares no contract.
         ConfigError: If its observations or actions mean something else, or the settings shape another network.
     """
-    model = _load(path)
-    metadata = {entry.key: entry.value for entry in model.metadata_props}
-    known = PolicyContract.from_json(metadata.get(METADATA_KEY, "{}"))
-    _compare(path.name, known, contract)
-    network = _network(path, model)
     linear = [m for m in actor.mlp if isinstance(m, torch.nn.Linear)]
-    _compare_layers(path.name, known, contract, network, [(m.out_features, m.in_features) for m in linear])
-    means, scales, columns = _first_layer(network, known, contract)
-    _, bias = network.layers[0]
-    if known.columns("toe_command").size:  # which is no longer seen: as if arms were at rest
-        bias = bias + _of_neutral_toes(network, known)
-    layers = [(columns, bias), *network.layers[1:]]
+    known, network = as_seen(path, contract, [(m.out_features, m.in_features) for m in linear])
     normalizer = actor.obs_normalizer
     with torch.no_grad():
-        normalizer._mean.copy_(torch.as_tensor(means)[None])
-        normalizer._std.copy_(torch.as_tensor(scales)[None] - normalizer.eps)
+        normalizer._mean.copy_(torch.as_tensor(network.mean)[None])
+        normalizer._std.copy_(torch.as_tensor(network.scale)[None] - normalizer.eps)
         normalizer._var.copy_(normalizer._std.square())
         normalizer.count.fill_(SEEN)
-        for module, (weight, bias) in zip(linear, layers, strict=True):
+        for module, (weight, bias) in zip(linear, network.layers, strict=True):
             module.weight.copy_(torch.as_tensor(weight))
             module.bias.copy_(torch.as_tensor(bias))
         actor.distribution.log_std_param.fill_(math.log(spread))
     return known.robot == contract.robot
-
-
-@dataclass(frozen=True)
-class _Network:
-    """The numbers of a policy's network."""
-
-    mean: FloatArray
-    """Mean of the observation (seen,)."""
-    scale: FloatArray
-    """What the rest is divided by (seen,)."""
-    layers: list[tuple[FloatArray, FloatArray]]
-    """Weights (out, in) and biases (out,)."""
 
 
 def _load(path: Path) -> onnx.ModelProto:
@@ -92,7 +106,7 @@ def _load(path: Path) -> onnx.ModelProto:
         raise AssetError(f"{path} is no ONNX file ({reason})") from reason
 
 
-def _network(path: Path, model: onnx.ModelProto) -> _Network:
+def _network(path: Path, model: onnx.ModelProto) -> Network:
     """Return the network of an ONNX policy: (observation - mean) / scale, then layers with ELUs between them."""
     values = {i.name: numpy_helper.to_array(i).copy() for i in model.graph.initializer}
     nodes = [n for n in model.graph.node if n.op_type != "Elu"]
@@ -100,11 +114,11 @@ def _network(path: Path, model: onnx.ModelProto) -> _Network:
     if kinds[:2] != ["Sub", "Div"] or {*kinds[2:]} != {"Gemm"}:
         raise AssetError(f"{path} is no policy that can be trained on: {' '.join(n.op_type for n in model.graph.node)}")
     mean, scale = (values[n.input[1]].reshape(-1) for n in nodes[:2])
-    return _Network(mean, scale, [(values[n.input[1]], values[n.input[2]]) for n in nodes[2:]])
+    return Network(mean, scale, [(values[n.input[1]], values[n.input[2]]) for n in nodes[2:]])
 
 
 def _compare_layers(
-    name: str, known: PolicyContract, contract: PolicyContract, network: _Network, here: list[tuple[int, int]]
+    name: str, known: PolicyContract, contract: PolicyContract, network: Network, here: Sequence[tuple[int, int]]
 ) -> None:
     """Refuse a network whose layers (out, in) differ from those here in more than what it observes."""
     there = [weights.shape for weights, _ in network.layers]
@@ -117,7 +131,7 @@ def _compare_layers(
 
 
 def _first_layer(
-    network: _Network, known: PolicyContract, contract: PolicyContract
+    network: Network, known: PolicyContract, contract: PolicyContract
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean and scale of the observation here (seen,), and the weights of the first layer (out, seen)."""
     first, _ = network.layers[0]
@@ -156,7 +170,7 @@ def _continued(known: PolicyContract, contract: PolicyContract) -> Iterator[tupl
             yield at, before[name], True
 
 
-def _of_neutral_toes(network: _Network, known: PolicyContract) -> FloatArray:
+def _of_neutral_toes(network: Network, known: PolicyContract) -> FloatArray:
     """Return what the command of neutral toes adds to the first layer (out,)."""
     first, _ = network.layers[0]
     at = (np.arange(known.history)[:, None] * known.frame_size + known.columns("toe_command")).reshape(-1)
