@@ -104,7 +104,7 @@ FAILURES = "a target or an answer is not a number, or any exception; the log can
 FAILURE_OUTCOMES = "damp; sit down, the rows stay in memory"
 START_FINDS = (
     "a joint 7° (Go2 8°) from the crouch after the ramp, base too low, tilt of 6°; "
-    "wrong sign, swapped motors or legs, turned IMU"
+    "wrong sign, swapped motors or legs, turned IMU; late steps or answers"
 )
 
 PAGE = (Path(__file__).parents[3] / "docs" / "manual" / "robot.md").read_text(encoding="utf-8")
