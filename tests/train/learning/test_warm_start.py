@@ -2,14 +2,15 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import AssetError, ConfigError
-from mimic.policy.contract import ARM_TERMS, FRAME_SIZE
-from mimic.policy.runtime import Policy, load_policy
+from mimic.policy.contract import ARM_TERMS, FRAME_SIZE, REACHING_TERMS
+from mimic.policy.runtime import Policy
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
@@ -17,6 +18,7 @@ for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
 
 from mimic.robot.description import load_description  # noqa: E402
 from mimic.train.learning.learn import train as train_robot  # noqa: E402
+from mimic.train.learning.onnx_file import export_network  # noqa: E402
 
 train = partial(train_robot, description=load_description("cyberdog2"))
 
@@ -99,14 +101,29 @@ def test_what_is_no_policy_is_refused(tmp_path):
         train(tmp_path / "out", MDP, LEARN, resume=tmp_path / "text.onnx")
 
 
-def test_a_training_goes_on_from_a_policy_that_saw_toe_commands_as_it_acts_for_neutral_toes(tmp_path):
-    description = load_description("go2")
-    shipped = load_policy(None, description)
-    contract = shipped.contract
-    assert contract.columns("toe_command").size
-    learn = dataclasses.replace(LEARN, hidden=LearnSettings().hidden)
-    mdp = dataclasses.replace(MDP, history=contract.history)
-    taken = train_robot(tmp_path, mdp, learn, description, resume=shipped.path)
+class Reaching(torch.nn.Module):
+    """A network that has not learnt, of the shape that a training writes."""
+
+    def __init__(self, seen: int) -> None:
+        super().__init__()
+        torch.manual_seed(1)
+        self.register_buffer("mean", 0.1 * torch.randn(1, seen))
+        self.register_buffer("scale", 0.5 + torch.rand(1, seen))
+        widths = (seen, *LEARN.hidden)
+        hidden = [torch.nn.Sequential(torch.nn.Linear(*pair), torch.nn.ELU()) for pair in pairwise(widths)]
+        self.layers = torch.nn.Sequential(*hidden, torch.nn.Linear(widths[-1], 12))
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        return self.layers((seen - self.mean) / self.scale)
+
+
+def test_a_training_goes_on_from_a_policy_that_saw_toe_commands_as_it_acts_for_neutral_toes(
+    policy, description, tmp_path
+):
+    contract = dataclasses.replace(Policy(policy, description).contract, terms=REACHING_TERMS, once=())
+    reaching = tmp_path / "reaching.onnx"
+    export_network(Reaching(contract.observation_size), contract, description, reaching)
+    taken = train(tmp_path / "taken", MDP, LEARN, resume=reaching)
     new = Policy(taken, description).contract
     rng = np.random.default_rng(0)
     frames = {name: 0.2 * rng.normal(size=(5, contract.history, width)) for name, width in contract.terms}
@@ -114,7 +131,7 @@ def test_a_training_goes_on_from_a_policy_that_saw_toe_commands_as_it_acts_for_n
     old = np.concatenate([frames[name] for name, _ in contract.terms], -1).reshape(5, -1)
     seen = np.concatenate([frames[name] for name, _ in new.terms], -1).reshape(5, -1)
     once = rng.normal(size=(5, ONCE))
-    before = answers(shipped.path, description, old)
+    before = answers(reaching, description, old)
     assert np.abs(answers(taken, description, np.concatenate([seen, once], -1)) - before).max() < 1e-3
     assert np.abs(before).max() > 1e-2
 
