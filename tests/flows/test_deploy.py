@@ -85,7 +85,7 @@ def test_joints_and_gains_of_rl_sar_are_those_of_the_contract(contract, tmp_path
     assert config["default_dof_pos"] == list(contract.default_q)
     assert config["action_scale"] == list(contract.action_scale)
     assert config["dt"] * config["decimation"] == contract.dt
-    assert config["num_observations"] == contract.frame_size
+    assert config["num_observations"] == contract.frame_size + sum(width for _, width in contract.once)
     assert config["mimic"]["walk_speed"] == contract.walk_speed
 
 
@@ -136,7 +136,7 @@ def test_the_loop_of_unitree_rl_lab_gets_the_actions_of_the_policy(robot, wiring
 def test_the_file_says_which_terms_are_to_be_added(tmp_path, capsys):
     go2 = ["--robot-model", "go2"]
     assert main(["export", "stand_track", *go2, "--format", "rl_sar", "-o", str(tmp_path / "p")]) == 0
-    assert "mimic/toe_command" in capsys.readouterr().out
+    assert "mimic/arm_reference" in capsys.readouterr().out
     text = (tmp_path / "p/config.yaml").read_text()
     assert "# - mimic/forward (3): the world's (1, 0, 0) in base axes" in text
 

@@ -56,7 +56,7 @@ def test_the_same_seed_is_the_same_episode_and_another_seed_is_not(env):
 
 def test_a_fall_terminates_the_episode(env):
     policy = mimic.load_policy(robot=env.description)
-    given = played(env, 1, 400, lambda step, seen: policy.act(seen) if step < 60 else np.full(12, 6.0))
+    given = played(env, 1, 400, lambda step, seen: policy.act(seen) if step < 60 else np.zeros(12))
     assert given[-1][2]
     assert len(given) < 200
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mimic.dynamics.catalogue import BASELINE
+from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.effect_set import EffectValues, read_effects, write_effects
 from mimic.sysid.engine.data import data_of
 from mimic.sysid.engine.effects import dependences, effects_of, motion_of
@@ -14,6 +14,7 @@ from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.model import STEP, setting_of
 from mimic.sysid.engine.search import Hunt, Outcome, baseline, describe, fitted_baseline, search
 
+BASELINE = CalibrateSettings().baseline
 ONE_WAY = EffectValues(name="asymmetric_friction", joints=("a",), values={"level": np.array([0.02])})
 SPRING = EffectValues(name="spring", joints=("a",), values={"stiffness": np.array([0.5])})
 FRICTION = ("stribeck", "asymmetric_friction", "quadratic_drag", "spring")
