@@ -25,7 +25,7 @@ from scipy import optimize
 
 from lab.hidden_effects.generator import CLOCKS, DESCRIBED
 from lab.hidden_effects.scenarios import FAINT, Scenario, for_choosing
-from mimic.dynamics.catalogue import CATALOGUE
+from mimic.config.sysid import CalibrateSettings
 from mimic.records import JOINTS, FloatArray
 
 Record = Mapping[str, Any]
@@ -176,7 +176,7 @@ def coverage(records: Iterable[Record], declared: bool) -> list[tuple[str, bool]
                     for joint, value in zip(e["joints"] or [""], values, strict=True):
                         truth[e["name"], parameter, joint] = value
         for e in r["effects"]:
-            is_declared = CATALOGUE[e["name"]].baseline
+            is_declared = e["name"] in CalibrateSettings().baseline
             if is_declared is not declared:
                 continue
             for parameter, rows_of in e["intervals"].items():
