@@ -1,6 +1,6 @@
 """A policy between that which a training began from and that which it made: the weighted mean of their networks.
 
-    python -m lab.policies.average BEGAN.onnx MADE.onnx SHARE OUT.onnx
+    python -m lab.policies.average BEGAN.onnx MADE.onnx SHARE OUT.onnx ROBOT
 
 SHARE is that of MADE, 0 to 1. A training that goes on from a policy stays near it, so that networks between both act
 too, and have some of what each does better (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models").
@@ -40,8 +40,8 @@ def average(began: Path, made: Path, share: float, out: Path, description: Robot
 
 
 def main() -> int:
-    began, made, share, out = sys.argv[1:]
-    average(Path(began), Path(made), float(share), Path(out), load_description("go2"))
+    began, made, share, out, robot = sys.argv[1:]
+    average(Path(began), Path(made), float(share), Path(out), load_description(robot))
     return 0
 
 
