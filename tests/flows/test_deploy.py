@@ -22,6 +22,8 @@ from mimic.policy.runtime import load_policy
 from mimic.records import JOINTS
 from mimic.robot.description import load_description
 
+WRITING = "writing an ONNX file needs the extra 'train'"
+
 RL_SAR = {
     "dof_pos": ("joint_position", "dof_pos_scale"),
     "gravity_vec": ("down", None),
@@ -75,7 +77,9 @@ def run(file: Path, observation: np.ndarray) -> np.ndarray:
     return answer[0]
 
 
+@pytest.mark.train
 def test_joints_and_gains_of_rl_sar_are_those_of_the_contract(contract, tmp_path):
+    pytest.importorskip("onnx", reason=WRITING)
     export_policy("stand_track", tmp_path / "go2/mimic", "rl_sar", robot="go2")
     config = yaml.safe_load((tmp_path / "go2/mimic/config.yaml").read_text())["go2/mimic"]
     wire = ["FR_abad", "FR_hip", "FR_knee", "FL_abad", "FL_hip", "FL_knee"]
@@ -89,10 +93,10 @@ def test_joints_and_gains_of_rl_sar_are_those_of_the_contract(contract, tmp_path
     assert config["mimic"]["walk_speed"] == contract.walk_speed
 
 
-@pytest.mark.parametrize("robot", [pytest.param("cyberdog2", marks=pytest.mark.train), "go2"])
+@pytest.mark.train
+@pytest.mark.parametrize("robot", ["cyberdog2", "go2"])
 def test_the_loop_of_rl_sar_gets_the_actions_of_the_policy(robot, tmp_path):
-    if robot == "cyberdog2":
-        pytest.importorskip("onnx", reason="writing an ONNX file needs the extra 'train'")
+    pytest.importorskip("onnx", reason=WRITING)
     known = answers(robot)
     contract = load_policy(None, load_description(robot)).contract
     export_policy("stand_track", tmp_path / robot / "mimic", "rl_sar", robot=robot)
@@ -133,7 +137,9 @@ def test_the_loop_of_unitree_rl_lab_gets_the_actions_of_the_policy(robot, wiring
     assert np.array(config["stiffness"])[config["joint_ids_map"]].tolist() == list(contract.kp)
 
 
+@pytest.mark.train
 def test_the_file_says_which_terms_are_to_be_added(tmp_path, capsys):
+    pytest.importorskip("onnx", reason=WRITING)
     go2 = ["--robot-model", "go2"]
     assert main(["export", "stand_track", *go2, "--format", "rl_sar", "-o", str(tmp_path / "p")]) == 0
     assert "mimic/arm_reference" in capsys.readouterr().out
