@@ -114,9 +114,8 @@ class Law:
         self.xp = xp
         self._d = drives
         self._p = dict(parameters)
-        self._shape = shape
         self._has = {name for name, _ in self._p}
-        self._zero = drives.kp * 0.0 + xp.zeros_like(drives.kp)[None] + self._full(0.0)
+        self._zero = xp.broadcast_to(drives.kp * 0.0, shape) + 0.0
         self.needed: Any = 0.0
         """Torque that the links need against gravity and for their motion (N, J) [N m], see `Servo`: the owner of the
         physics gives it once, and it follows the physics."""
@@ -124,9 +123,6 @@ class Law:
         self._fixed()
 
     # ------------------------------------------------------------------ set-up
-
-    def _full(self, value: float) -> Any:
-        return self.xp.broadcast_to(self._d.kp * 0.0 + value, self._shape)
 
     def get(self, name: str, parameter: str) -> Any:
         """Return a parameter, or its neutral value where no simulation has the effect."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mimic.dynamics.actuators import FileDrives, Reference, refuse_other_machine, touches
 from mimic.dynamics.catalogue.kinds import UNLIMITED
@@ -344,42 +345,24 @@ class Inertias:
             if shift is not None:
                 self.ipos[b] += shift[j] * machine.toward[j]
             if payload is not None and payload[j]:
-                self._load(int(b), float(payload[j]), machine.tip[j])
+                self.load(int(b), float(payload[j]), machine.tip[j])
 
-    def _load(self, b: int, load: float, tip: FloatArray) -> None:
-        """Add a point mass to one body, exactly: new centre, parallel axes, new principal axes."""
-        m = self.mass[b]
-        c = self.ipos[b].copy()
-        total = m + load
-        centre = (m * c + load * tip) / total
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, self.iquat[b])
-        rotation = rotation.reshape(3, 3)
-        whole = rotation @ np.diag(self.inertia[b]) @ rotation.T
-
-        def point(r: FloatArray) -> FloatArray:
-            return float(r @ r) * np.eye(3) - np.outer(r, r)
-
-        whole = whole + m * point(c - centre) + load * point(tip - centre)
-        values, axes = np.linalg.eigh(whole)
-        if np.linalg.det(axes) < 0:
-            axes[:, 0] *= -1
-        mujoco.mju_mat2Quat(self.iquat[b], axes.reshape(-1))
-        self.mass[b] = total
-        self.ipos[b] = centre
-        self.inertia[b] = values
+    def load(self, b: int, load: float, at: FloatArray) -> None:
+        """Add a point mass [kg] at a place (3,) [m] of one body: new centre, parallel axes, new principal axes."""
+        own = float(self.mass[b])
+        frame = np.zeros(9)
+        mujoco.mju_quat2Mat(frame, self.iquat[b])
+        turn = frame.reshape(3, 3)
+        inertia = turn @ np.diag(self.inertia[b]) @ turn.T
+        away = at - self.ipos[b]
+        inertia += own * load / (own + load) * (away @ away * np.eye(3) - np.outer(away, away))
+        self.inertia[b], axes = np.linalg.eigh(inertia)
+        axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+        mujoco.mju_mat2Quat(self.iquat[b], axes.reshape(9))
+        self.mass[b] = own + load
+        self.ipos[b] += away * load / (own + load)
 
 
-def tilted_gravity(roll: Any, pitch: Any, gravity: Sequence[float] = (0.0, 0.0, -GRAVITY)) -> FloatArray:
-    """Return gravity (N, 3) in the axes of a base turned by roll (N,) about x, then pitch (N,) about y [rad]."""
-    g = np.asarray(gravity, dtype=np.float64)
-    cr = np.cos(roll)
-    sr = np.sin(roll)
-    cp = np.cos(pitch)
-    sp = np.sin(pitch)
-    # R = Ry(pitch) Rx(roll) takes base to world; gravity in the base is R^T g
-    zero = 0.0 * cr
-    one = 1.0 + 0.0 * cr
-    ry = np.stack([np.stack([cp, zero, sp], -1), np.stack([zero, one, zero], -1), np.stack([-sp, zero, cp], -1)], -2)
-    rx = np.stack([np.stack([one, zero, zero], -1), np.stack([zero, cr, -sr], -1), np.stack([zero, sr, cr], -1)], -2)
-    return np.einsum("nji,j->ni", ry @ rx, g)
+def tilted_gravity(roll: float, pitch: float, gravity: Sequence[float] = (0.0, 0.0, -GRAVITY)) -> FloatArray:
+    """Return gravity (3,) in the axes of a base turned by roll about x, then pitch about y [rad]."""
+    return Rotation.from_euler("xy", [roll, pitch]).apply(gravity, inverse=True)

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mimic.config.play import DESCRIBED_REBOUND, Randomisation
-from mimic.dynamics.machine import add_motors
+from mimic.dynamics.machine import Inertias, add_motors
 from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import BASE, FLOOR, is_visual, read_model
@@ -218,20 +218,9 @@ def carry(model: mujoco.MjModel, body: str, mass: float, position: FloatArray) -
     """Add a point mass [kg] at a position (3,) [m] of a body, in ``model`` as it is."""
     if not mass:
         return
-    at = model.body(body).id
-    own = float(model.body_mass[at])
-    frame = np.zeros(9)
-    mujoco.mju_quat2Mat(frame, model.body_iquat[at])
-    turn = frame.reshape(3, 3)
-    inertia = turn @ np.diag(model.body_inertia[at]) @ turn.T
-    away = position - model.body_ipos[at]
-    inertia += own * mass / (own + mass) * (away @ away * np.eye(3) - np.outer(away, away))
-    values, axes = np.linalg.eigh(inertia)
-    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
-    mujoco.mju_mat2Quat(model.body_iquat[at], axes.reshape(9))
-    model.body_inertia[at] = values
-    model.body_mass[at] = own + mass
-    model.body_ipos[at] += away * mass / (own + mass)
+    inertias = Inertias.of(model)
+    inertias.load(model.body(body).id, mass, position)
+    inertias.write(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
@@ -239,13 +228,10 @@ def command_in_effect(
     substep: int,
     decimation: int,
     delay_steps: Any,
-    newest: Any,
-    before: Any,
-    before_that: Any,
+    commands: Sequence[Any],
     where: Any,
-    older: Sequence[Any] = (),
     *,
-    interpolate: bool = False,
+    interpolate: bool,
 ) -> Any:
     """Return the command that acts during a physics step.
 
@@ -253,15 +239,11 @@ def command_in_effect(
         substep: Index of the physics step within the control step, from 0.
         decimation: Physics steps in a control step.
         delay_steps: Physics steps from a command to its effect; no more than one control step less than there are
-            commands, two with the first three. Broadcasts with commands.
-        newest: Command of this control step.
-        before: Command of the control step before.
-        before_that: And of the one before that.
+            commands. Broadcasts with commands.
+        commands: Of this control step and those before, newest first.
         where: ``np.where`` or ``torch.where``.
-        older: Those before, newest first.
         interpolate: Move linearly from one command to the next, over a control step; needs one command more.
     """
-    commands = (newest, before, before_that, *older)
     acting = commands[-1]
     for age in reversed(range(len(commands) - 1)):
         value = commands[age]

@@ -8,6 +8,7 @@ becomes parameters (`parameters_of`), these become a `mimic.dynamics.law.Law`, w
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +23,23 @@ from mimic.errors import ConfigError
 from mimic.records import FloatArray
 
 
+@dataclass(kw_only=True, eq=False)
 class Servo:
     """The fields that a law writes at every step: arrays of NumPy or tensors (N, J), written in place."""
 
-    def __init__(self, *, ctrl: Any, applied: Any, inertia: Any, friction: Any, needed: Any = 0.0) -> None:
-        self._ctrl = ctrl
-        self._applied = applied
-        self._inertia = inertia
-        self._friction = friction
-        self.needed = needed
-        """Torque that the links need against gravity and for their motion at this speed (N, J): only read [N m]."""
+    ctrl: Any
+    applied: Any
+    inertia: Any
+    friction: Any
+    needed: Any = 0.0
+    """Torque that the links need against gravity and for their motion at this speed (N, J): only read [N m]."""
 
     def write(self, inputs: StepInputs) -> None:
         """Hand over the inputs of the next step."""
-        self._ctrl[:] = inputs.torque
-        self._inertia[:] = inputs.inertia
-        self._friction[:] = inputs.friction
-        self._applied[:] = inputs.applied
+        self.ctrl[:] = inputs.torque
+        self.inertia[:] = inputs.inertia
+        self.friction[:] = inputs.friction
+        self.applied[:] = inputs.applied
 
 
 def static_model(model: mujoco.MjModel, machine: MachineModel, p: Parameters) -> None:

@@ -7,6 +7,8 @@ winding over its housing) and a slow one (the housing over the air). Parameters 
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 import numpy as np
 
 from mimic.records import FloatArray
@@ -99,10 +101,7 @@ def seconds_to_limit(tau: FloatArray, dt: float, description: RobotDescription) 
     for motor in range(once.shape[2]):
         if rise(motor, most).max() < 1.0:
             continue
-        low = 0
-        high = most  # the first repetition that reaches the limit: each is warmer than the one before
-        while low < high:
-            middle = (low + high) // 2
-            low, high = (low, middle) if rise(motor, middle).max() >= 1.0 else (middle + 1, high)
-        found[motor] = (low * ticks + int(np.argmax(rise(motor, low) >= 1.0)) + 1) * dt
+        # the first repetition that reaches the limit: each is warmer than the one before
+        first = bisect_left(range(most), 1.0, key=lambda repetition: rise(motor, repetition).max())
+        found[motor] = (first * ticks + int(np.argmax(rise(motor, first) >= 1.0)) + 1) * dt
     return found

@@ -76,7 +76,7 @@ class EmulatedBody:
         if suspended and ("base_tilt", "roll") in p:
             roll = float(p["base_tilt", "roll"][0, 0])
             pitch = float(p["base_tilt", "pitch"][0, 0])
-            model.opt.gravity[:] = tilted_gravity(np.array([roll]), np.array([pitch]))[0]
+            model.opt.gravity[:] = tilted_gravity(roll, pitch)
             self._quat = _tilt(roll, pitch)
         self.data = mujoco.MjData(model)
         self._rng = np.random.default_rng([seed, 17])

@@ -193,24 +193,16 @@ class SimulatedPlant:
     def _drive(self, substep: int) -> None:
         """Set motors and pull for the next physics step."""
         data = self.data
-        decimation = self._description.decimation
         if self._motors is not None:
             applied = self._motors.drive(substep, data)
             data.qfrc_applied[:] = 0.0
             self._pull(data)
             data.qfrc_applied[6:] += applied
             return
-        newest, before, before_that, *older = self._commands
+        delay = self.variation.delay_steps
+        decimation = self._description.decimation
         data.ctrl[:] = command_in_effect(
-            substep,
-            decimation,
-            self.variation.delay_steps,
-            newest,
-            before,
-            before_that,
-            np.where,
-            older,
-            interpolate=self._ramps,
+            substep, decimation, delay, self._commands, np.where, interpolate=self._ramps
         )
         self._pull(data)
 

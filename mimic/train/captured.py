@@ -17,7 +17,7 @@ import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
-from torch import nn
+from torch import Tensor, nn
 
 from mimic.dynamics.cuda_graphs import Replayed
 from mimic.train.learning.mirror import mirrored_actions, mirrored_observations
@@ -32,21 +32,21 @@ HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 class DeviceGaussian(GaussianDistribution):
     """rsl_rl's Gaussian; draws without a check that waits for the device, and looks at the actions that count only."""
 
-    def sample(self) -> torch.Tensor:
+    def sample(self) -> Tensor:
         """Return actions (N, 12)."""
         with torch.no_grad():
             return torch.randn_like(self.mean) * self.std + self.mean
 
-    def log_prob_of(self, actions: torch.Tensor, counts: torch.Tensor) -> torch.Tensor:
+    def log_prob_of(self, actions: Tensor, counts: Tensor) -> Tensor:
         """Return the log probability (N,) of those actions (N, 12) for which counts (N, 12) is 1."""
         away = (actions - self.mean) / self.std
         return -(counts * (0.5 * away.square() + self.std.log() + HALF_LOG_2_PI)).sum(-1)
 
-    def entropy_of(self, counts: torch.Tensor) -> torch.Tensor:
+    def entropy_of(self, counts: Tensor) -> Tensor:
         """Return their entropy (N,)."""
         return (counts * (0.5 + HALF_LOG_2_PI + self.std.log())).sum(-1)
 
-    def divergence_of(self, mean: torch.Tensor, spread: torch.Tensor, counts: torch.Tensor) -> torch.Tensor:
+    def divergence_of(self, mean: Tensor, spread: Tensor, counts: Tensor) -> Tensor:
         """Return the KL divergence (N,) of their distribution of now from one with this mean and spread (N, 12)."""
         square = (spread.square() + (mean - self.mean).square()) / (2 * self.std.square())
         return (counts * ((self.std / spread).log() + square - 0.5)).sum(-1)
@@ -78,7 +78,7 @@ class CapturedPPO(PPO):
             begin += p.numel()
         self._size = storage.num_envs * storage.num_transitions_per_env // self.num_mini_batches
         self._seen: TensorDict | None = None  # stays where it is
-        self._batch: dict[str, torch.Tensor] = {}
+        self._batch: dict[str, Tensor] = {}
         self._act = Replayed(self._infer, self.device)
         self._returns = Replayed(self._all_returns, self.device)
         if self.is_multi_gpu:  # gradients meet between two graphs
@@ -104,7 +104,7 @@ class CapturedPPO(PPO):
             for moment in self.optimizer.state.get(parameter, {}).values():
                 moment.zero_()
 
-    def act(self, obs: TensorDict) -> torch.Tensor:
+    def act(self, obs: TensorDict) -> Tensor:
         """Draw actions and keep what the update needs."""
         self._seen = obs.clone() if self._seen is None else self._seen.copy_(obs)
         t = self.transition

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import torch
+from torch import Tensor
 
 from mimic.config.training import MdpSettings
 from mimic.train.tensors import Chance, put
@@ -44,7 +45,7 @@ LEAD_SECONDS = (2.0, 10.0)
 class Disturbances(Chance):
     """Mounting error of the IMU, lost commands, and a pull on a front toe, for each world and episode."""
 
-    def __init__(self, settings: MdpSettings, dt: float, device: str, quiet: torch.Tensor) -> None:
+    def __init__(self, settings: MdpSettings, dt: float, device: str, quiet: Tensor) -> None:
         """Take the settings; ``quiet`` (N,) is True for worlds in which nothing happens but small pushes and hands."""
         super().__init__(settings.worlds, device)
         self._ranges = settings.disturbances
@@ -92,17 +93,17 @@ class Disturbances(Chance):
         self._grown.fill_(share)
 
     @property
-    def share(self) -> torch.Tensor:
+    def share(self) -> Tensor:
         """Factor on whatever is drawn here (N,)."""
         return self._grown * (~self._quiet).float()
 
     @property
-    def push_share(self) -> torch.Tensor:
+    def push_share(self) -> Tensor:
         """Factor on pushes (N,), drawn anew at each call."""
         gently = self._quiet & (self._rand() >= HARD_PUSH)
         return self._grown * torch.where(gently, QUIET_PUSH, 1.0)
 
-    def reset(self, mask: torch.Tensor) -> None:
+    def reset(self, mask: Tensor) -> None:
         """Draw anew where ``mask`` (N,)."""
         r = self._ranges
         axis = torch.randn(self._n, 3, device=self._device)
@@ -132,11 +133,11 @@ class Disturbances(Chance):
         for flag in (self.held, self.came):
             flag.logical_and_(~mask)
 
-    def arrives(self) -> torch.Tensor:
+    def arrives(self) -> Tensor:
         """Return whether the command of this control step arrives (N, 1)."""
         return torch.rand_like(self.lost_share) >= self.lost_share
 
-    def advance(self, step: torch.Tensor, toes: torch.Tensor, heading: torch.Tensor) -> None:
+    def advance(self, step: Tensor, toes: Tensor, heading: Tensor) -> None:
         """Let the pull be that of a control step.
 
         Args:
@@ -161,5 +162,5 @@ class Disturbances(Chance):
         force = torch.where(self.led[:, None], hand, pull) * now[:, None]
         self.pull.copy_(self.toe[..., None] * torch.nan_to_num(force)[:, None, :])
 
-    def _any_angle(self) -> torch.Tensor:
+    def _any_angle(self) -> Tensor:
         return self._uniform(-math.pi, math.pi)

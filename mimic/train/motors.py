@@ -12,6 +12,7 @@ from dataclasses import fields
 import mujoco
 import numpy as np
 import torch
+from torch import Tensor
 
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
@@ -133,7 +134,7 @@ class WorldMotors(Chance):
         """Give each world this share of its own gains, and the usual ones for the rest."""
         self._law.set_gains(*(u + share * (own - u) for u, own in zip(self._usual, self._own, strict=True)))
 
-    def reset(self, mask: torch.Tensor, q: torch.Tensor, dq: torch.Tensor, command: torch.Tensor) -> None:
+    def reset(self, mask: Tensor, q: Tensor, dq: Tensor, command: Tensor) -> None:
         """Begin an episode where ``mask`` (N,), at link positions q, commanded to hold ``command`` (N, 12)."""
         self._law.begin(q, dq, where=mask[:, None])
         self._keep()
@@ -141,11 +142,11 @@ class WorldMotors(Chance):
             put(target, mask, command)
             put(late, mask, 0.0)
 
-    def arrives(self) -> torch.Tensor:
+    def arrives(self) -> Tensor:
         """Return whether the command of this control step arrives (N, 1)."""
         return torch.rand_like(self._lost) >= self._lost
 
-    def send(self, target: torch.Tensor, drawn: torch.Tensor) -> None:
+    def send(self, target: Tensor, drawn: Tensor) -> None:
         """Take the command of a control step (N, 12), which acts after its delay; see `delay` for ``drawn``."""
         for row in (self._targets, self._late):
             for age in reversed(range(1, len(row))):
@@ -155,11 +156,11 @@ class WorldMotors(Chance):
         for shift, late in zip(self._shifts, self._late, strict=True):
             shift.copy_(torch.clip(self.delay(drawn) + late, 0.0, None))
 
-    def delay(self, drawn: torch.Tensor) -> torch.Tensor:
+    def delay(self, drawn: Tensor) -> Tensor:
         """Return the physics steps from a command to its effect (N, 12), where drawn ones are (N, 1)."""
         return self._shift if self._delayed else self._shift + drawn
 
-    def drive(self, q: torch.Tensor, dq: torch.Tensor, substep: int) -> None:
+    def drive(self, q: Tensor, dq: Tensor, substep: int) -> None:
         """Hand over the inputs of the next physics step, from link positions and velocities (N, 12)."""
         shares = shares_in_effect(substep, self._d.decimation, self._shifts, torch)
         targets = moving_targets(substep, self._d.decimation, self._shifts, self._targets, torch)
@@ -170,12 +171,12 @@ class WorldMotors(Chance):
         self.tau.copy_(inputs.tau)
         self._keep()
 
-    def settle(self, dq: torch.Tensor) -> None:
+    def settle(self, dq: Tensor) -> None:
         """Bring lags and rotors to the end of the physics step just made."""
         self._law.settle(dq)
         self._keep()
 
-    def reading(self, q: torch.Tensor) -> torch.Tensor:
+    def reading(self, q: Tensor) -> Tensor:
         """Return what the encoders read at link positions (N, 12)."""
         return self._law.reading(q)
 

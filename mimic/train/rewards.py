@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 import torch
+from torch import Tensor
 
 from mimic.geometry import smoothstep
 from mimic.robot.parts import TrainingNumbers
@@ -75,17 +76,17 @@ MOST_SHUFFLE = 0.3
 """More speed of a toe is not counted in `shuffle` [m/s], for the same reason."""
 
 
-def bells(square: torch.Tensor, *shapes: tuple[float, float]) -> torch.Tensor:
+def bells(square: Tensor, *shapes: tuple[float, float]) -> Tensor:
     """Return the sum of bells over a squared error (N,), each of a height and a squared width."""
     return torch.stack([height * torch.exp(-square / width) for height, width in shapes]).sum(0)
 
 
-def alive(worlds: torch.Tensor) -> torch.Tensor:
+def alive(worlds: Tensor) -> Tensor:
     """Return 1 in each control step, for worlds (N,)."""
     return torch.ones_like(worlds)
 
 
-def height(base: torch.Tensor, rising: torch.Tensor, numbers: TrainingNumbers) -> torch.Tensor:
+def height(base: Tensor, rising: Tensor, numbers: TrainingNumbers) -> Tensor:
     """Return exp(-(error / HEIGHT_WIDTH)^2), 0 to 1; above the full height nothing is an error.
 
     Args:
@@ -98,7 +99,7 @@ def height(base: torch.Tensor, rising: torch.Tensor, numbers: TrainingNumbers) -
     return torch.exp(-((over / HEIGHT_WIDTH) ** 2))
 
 
-def upright(up: torch.Tensor, rising: torch.Tensor, lying_angle: float) -> torch.Tensor:
+def upright(up: Tensor, rising: Tensor, lying_angle: float) -> Tensor:
     """Return exp(-(error / LEAN_WIDTH)^2) of the trunk's angle while rising, then the paper's ((1 + up) / 2)^2; 0 to 1.
 
     Args:
@@ -111,7 +112,7 @@ def upright(up: torch.Tensor, rising: torch.Tensor, lying_angle: float) -> torch
     return torch.where(rising >= 1, ((1 + up) / 2).square(), torch.exp(-((lean / LEAN_WIDTH) ** 2)))
 
 
-def velocity(mean: torch.Tensor, now: torch.Tensor, standing: torch.Tensor) -> torch.Tensor:
+def velocity(mean: Tensor, now: Tensor, standing: Tensor) -> Tensor:
     """Return VELOCITY_BELLS over the averaged error and STEP_BELL over that of now, where the robot stands; 0 to 1.
 
     Source: the paper has one bell, over the error of now.
@@ -125,7 +126,7 @@ def velocity(mean: torch.Tensor, now: torch.Tensor, standing: torch.Tensor) -> t
     return (averaged + bells(now.square().sum(-1), STEP_BELL)) * standing
 
 
-def heading(turn: torch.Tensor, standing: torch.Tensor) -> torch.Tensor:
+def heading(turn: Tensor, standing: Tensor) -> Tensor:
     """Return TURN_COSINE (1 + cos error) + TURN_BELLS over the error (N,) [rad], where the robot stands; 0 to 1.
 
     Source: the paper has one bell.
@@ -135,7 +136,7 @@ def heading(turn: torch.Tensor, standing: torch.Tensor) -> torch.Tensor:
     return (TURN_COSINE * (1 + torch.cos(turn)) + bells(square, wide) + bells(square, narrow)) * standing
 
 
-def gait(stepping: torch.Tensor, planted: torch.Tensor, asked: torch.Tensor, standing: torch.Tensor) -> torch.Tensor:
+def gait(stepping: Tensor, planted: Tensor, asked: Tensor, standing: Tensor) -> Tensor:
     """Return the mean of both hind feet where the robot stands: `stepping` if asked to step, else planted; 0 to 1.
 
     Args:
@@ -147,7 +148,7 @@ def gait(stepping: torch.Tensor, planted: torch.Tensor, asked: torch.Tensor, sta
     return (asked * stepping + (1 - asked) * planted).mean(-1) * standing
 
 
-def stepping(phase: torch.Tensor, clearance: torch.Tensor, planted: torch.Tensor, swing_height: float) -> torch.Tensor:
+def stepping(phase: Tensor, clearance: Tensor, planted: Tensor, swing_height: float) -> Tensor:
     """Return what each hind foot earns by stepping with the clock (N, 2).
 
     Args:
@@ -166,17 +167,17 @@ def stepping(phase: torch.Tensor, clearance: torch.Tensor, planted: torch.Tensor
     return torch.where(swing > 0, lifted, planted)
 
 
-def both_planted(load: torch.Tensor) -> torch.Tensor:
+def both_planted(load: Tensor) -> Tensor:
     """Return the smaller load over BEARS, at most 1 (N, 1), from the share of weight on each hind foot (N, 2)."""
     return (load.amin(-1, keepdim=True) / BEARS).clamp(0.0, 1.0)
 
 
-def drift(way: torch.Tensor, tracking: torch.Tensor) -> torch.Tensor:
+def drift(way: Tensor, tracking: Tensor) -> Tensor:
     """Return the distance from the rest position (N,) [m], up to MOST_DRIFT, where the robot tracks (N,)."""
     return way.clamp(max=MOST_DRIFT) * tracking
 
 
-def slip(height: torch.Tensor, velocity: torch.Tensor, turning: torch.Tensor, below: float) -> torch.Tensor:
+def slip(height: Tensor, velocity: Tensor, turning: Tensor, below: float) -> Tensor:
     """Return the sum over low toes of |velocity|^2 + (turning / pi)^2, each up to FASTEST [m^2/s^2]. Source: the paper.
 
     Args:
@@ -189,67 +190,67 @@ def slip(height: torch.Tensor, velocity: torch.Tensor, turning: torch.Tensor, be
     return (square.clamp(max=FASTEST) * (height < below)).sum(-1)
 
 
-def foot_shift(way: torch.Tensor, early: torch.Tensor) -> torch.Tensor:
+def foot_shift(way: Tensor, early: Tensor) -> Tensor:
     """Return the mean length of the ways of the hind toes (N, 2, 3) [m] while standing up (N,)."""
     return way.norm(dim=-1).mean(-1) * early
 
 
-def flight(clearance: torch.Tensor) -> torch.Tensor:
+def flight(clearance: Tensor) -> Tensor:
     """Return 1 where both hind toes (N, 2) [m] are above LIFTED."""
     return (clearance.amin(-1) > LIFTED).float()
 
 
-def low(shapes: torch.Tensor) -> torch.Tensor:
+def low(shapes: Tensor) -> Tensor:
     """Return how many of the front legs' shapes and hind knees (N, shapes) [m] are below LOW."""
     return (shapes < LOW).float().sum(-1)
 
 
-def action_rate(change: torch.Tensor) -> torch.Tensor:
+def action_rate(change: Tensor) -> Tensor:
     """Return the sum of squared changes of the action (N, 12) [(unit of action)^2]. Source: legged_gym."""
     return change.square().sum(-1)
 
 
-def unrest(change: torch.Tensor, resting: torch.Tensor) -> torch.Tensor:
+def unrest(change: Tensor, resting: Tensor) -> Tensor:
     """Return the same of the hind legs (N, 6), up to MOST_UNREST, where the robot should rest (N,)."""
     return change.square().sum(-1).clamp(max=MOST_UNREST) * resting
 
 
-def shuffle(speed: torch.Tensor, contact: torch.Tensor, resting: torch.Tensor) -> torch.Tensor:
+def shuffle(speed: Tensor, contact: Tensor, resting: Tensor) -> Tensor:
     """Return the mean speed of the hind toes (N, 2) on the ground [m/s], up to MOST_SHUFFLE, while resting (N,)."""
     return (speed.clamp(max=MOST_SHUFFLE) * contact).mean(-1) * resting
 
 
-def torque(shares: torch.Tensor) -> torch.Tensor:
+def torque(shares: Tensor) -> Tensor:
     """Return the sum of squared torques, each as a share of its motor's largest (N, 12). Source: legged_gym, in N m."""
     return shares.square().sum(-1)
 
 
-def heat(torque: torch.Tensor) -> torch.Tensor:
+def heat(torque: Tensor) -> Tensor:
     """Return `torque` (N,) up to MOST_HEAT: it heats the windings."""
     return torque.clamp(max=MOST_HEAT)
 
 
-def overload(shares: torch.Tensor) -> torch.Tensor:
+def overload(shares: Tensor) -> Tensor:
     """Return the sum of squared torques beyond the rated ones, as shares of the motors' largest (N, 12)."""
     return shares.square().sum(-1)
 
 
-def joint_velocity(dq: torch.Tensor) -> torch.Tensor:
+def joint_velocity(dq: Tensor) -> Tensor:
     """Return the sum of squared joint velocities (N, 12) [rad^2/s^2]. Source: legged_gym."""
     return dq.square().sum(-1)
 
 
-def joint_speed(dq: torch.Tensor, limit: float) -> torch.Tensor:
+def joint_speed(dq: Tensor, limit: float) -> Tensor:
     """Return the sum of joint speeds (N, 12) beyond a limit [rad/s]. Source: legged_gym."""
     return torch.clamp(dq.abs() - limit, min=0.0).sum(-1)
 
 
-def joint_acceleration(ddq: torch.Tensor) -> torch.Tensor:
+def joint_acceleration(ddq: Tensor) -> Tensor:
     """Return the sum of squared joint accelerations (N, 12) [rad^2/s^4]. Source: legged_gym."""
     return ddq.square().sum(-1)
 
 
-def limits(q: torch.Tensor, low: torch.Tensor, high: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+def limits(q: Tensor, low: Tensor, high: Tensor, own: Tensor) -> Tensor:
     """Return how far joint positions (N, 12) are beyond low and high (12,) [rad], of own joints. Source: legged_gym."""
     excess = torch.clamp(low - q, min=0.0) + torch.clamp(q - high, min=0.0)
     return (own * excess).sum(-1)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from mimic.config.leading import LeadingSettings
 from mimic.config.training import MdpSettings
@@ -80,7 +81,7 @@ class ArmSchedule(Chance):
         self.q, self.dq, self.ddq = (self._zeros(len(self._times), FRONT) for _ in range(3))
         """Goals of a command that is sent now, and at the times AHEAD (N, 5, 6) [rad, rad/s, rad/s^2]."""
 
-    def advance(self, tracking: torch.Tensor, first: torch.Tensor, q: torch.Tensor) -> None:
+    def advance(self, tracking: Tensor, first: Tensor, q: Tensor) -> None:
         """Let one control step pass.
 
         Args:
@@ -97,14 +98,14 @@ class ArmSchedule(Chance):
         self._begin(first, q)
         self._look()
 
-    def reset(self, mask: torch.Tensor, upright: torch.Tensor, q: torch.Tensor) -> None:
+    def reset(self, mask: Tensor, upright: Tensor, q: Tensor) -> None:
         """Begin anew where ``mask``: at the measured joints of worlds that start upright, else at rest."""
         put(self._goals, mask, self._upright.expand_as(self._goals))
         put(self._time, mask, 0.0)
         self._begin(mask & upright, q)
         self._look()
 
-    def _begin(self, where: torch.Tensor, q: torch.Tensor) -> None:
+    def _begin(self, where: Tensor, q: Tensor) -> None:
         here = q[:, :FRONT].reshape(-1, 2, 3)
         goal, _ = self._next(here)
         after, length = self._next(goal)
@@ -112,7 +113,7 @@ class ArmSchedule(Chance):
         put(self._lengths, where, torch.stack([torch.full_like(length, self._blend), length], -1))
         put(self._time, where, 0.0)
 
-    def _next(self, start: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _next(self, start: Tensor) -> tuple[Tensor, Tensor]:
         """Return where arms go from joints (N, 2, 3) [rad], and how long that takes (N,) [s]; one may stay."""
         goal = self._pool[torch.randint(0, len(self._pool), (self._n,), device=self._device)]
         stays = self._rand(2) < self._hold_share
@@ -168,48 +169,48 @@ class TrunkSchedule(Chance):
         self.targets = self._zeros(FRONT + HIND)
         """What position targets change by (N, 12) [rad]."""
 
-    def _seen(self) -> torch.Tensor:
+    def _seen(self) -> Tensor:
         return self._sent[:, self._lag]
 
-    def _rate(self, age: int) -> torch.Tensor:
+    def _rate(self, age: int) -> Tensor:
         return (self._sent[:, age] - self._sent[:, age + 1]) / self._dt
 
     @property
-    def joints(self) -> torch.Tensor:
+    def joints(self) -> Tensor:
         """What all joints are off by now (N, 12) [rad]."""
         return torch.nn.functional.pad(self._seen()[:, :HIND], (FRONT, 0))
 
     @property
-    def joint_rates(self) -> torch.Tensor:
+    def joint_rates(self) -> Tensor:
         """Its rate (N, 12) [rad/s]."""
         return torch.nn.functional.pad(self._rate(self._lag)[:, :HIND], (FRONT, 0))
 
     @property
-    def base(self) -> torch.Tensor:
+    def base(self) -> Tensor:
         """How far the base is forward and up (N, 2) [m]."""
         return self._seen()[:, 2 * HIND : 2 * HIND + 2]
 
     @property
-    def base_rate(self) -> torch.Tensor:
+    def base_rate(self) -> Tensor:
         """Its rate (N, 2) [m/s]."""
         return self._rate(self._lag)[:, 2 * HIND : 2 * HIND + 2]
 
     @property
-    def asked(self) -> torch.Tensor:
+    def asked(self) -> Tensor:
         """Height [m] and pitch [rad] that joints and base are of (N, 2)."""
         return self._seen()[:, 2 * HIND + 2 :]
 
     @property
-    def pitch(self) -> torch.Tensor:
+    def pitch(self) -> Tensor:
         """The pitch of these (N,) [rad]."""
         return self._seen()[:, -1]
 
     @property
-    def pitch_rate(self) -> torch.Tensor:
+    def pitch_rate(self) -> Tensor:
         """Rate of the pitch (N,) [rad/s]."""
         return self._rate(self._lag)[:, -1]
 
-    def advance(self, tracking: torch.Tensor) -> None:
+    def advance(self, tracking: Tensor) -> None:
         """Let one control step pass; before a robot tracks (N,) its trunk stays."""
         if self._poses is None:
             return
@@ -231,7 +232,7 @@ class TrunkSchedule(Chance):
         change = pose.joints + (kd * self._rate(0)[:, :HIND] + pose.torque) / kp
         self.targets[:, FRONT:].copy_(change)
 
-    def reset(self, mask: torch.Tensor) -> None:
+    def reset(self, mask: Tensor) -> None:
         """Stand as the robot does by itself where ``mask``."""
         for buffer in (self._way, self._time, self._sent, self.targets):
             put(buffer, mask, 0.0)
@@ -256,7 +257,7 @@ class MoveSchedule(Chance):
         self._rate, self._left, self._since = (self._zeros() for _ in range(3))
 
     @property
-    def settled(self) -> torch.Tensor:
+    def settled(self) -> Tensor:
         """True where a robot has been asked to stand for so long that it should (N,)."""
         stands = (self.velocity == 0.0).all(-1) & (self._rate == 0.0)
         return stands & (self._since > SETTLES)
@@ -283,7 +284,7 @@ class MoveSchedule(Chance):
         self.heading.add_(self._rate * self._dt)
         self.wanted.copy_(self.velocity)
 
-    def lead(self, led: torch.Tensor, pull: torch.Tensor, hand: torch.Tensor, heading: torch.Tensor) -> None:
+    def lead(self, led: Tensor, pull: Tensor, hand: Tensor, heading: Tensor) -> None:
         """Let a pull say what is asked, as it does when the robot is led by the hand (mimic.evaluation.leading).
 
         Args:
@@ -305,7 +306,7 @@ class MoveSchedule(Chance):
         put(self._since, led & (share > 0), 0.0)
         put(self._left, led, self._settings.command_seconds[1])
 
-    def reset(self, mask: torch.Tensor, heading: torch.Tensor) -> None:
+    def reset(self, mask: Tensor, heading: Tensor) -> None:
         """Stand still at this heading (N,) [rad] where ``mask``."""
         put(self.heading, mask, heading)
         for buffer in (self.velocity, self.wanted, self._felt, self._rate, self._since):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
+from torch import Tensor
 
 from mimic.config.training import MdpSettings
 from mimic.geometry import smoothstep, up_cosine
@@ -83,16 +84,16 @@ class SitDownEnv(StandTrackEnv):
     def _set_difficulty(self) -> None:
         """Everything from the beginning: this task begins where the other one ends."""
 
-    def _first_phase(self, start: Start) -> torch.Tensor:
+    def _first_phase(self, start: Start) -> Tensor:
         return torch.where(start.anytime, self._uniform(0.0, 2 * math.pi), torch.zeros_like(start.heading))
 
     def _command(self) -> None:
         """Nothing is asked for but neutral toes, no velocity and the heading at the start."""
 
-    def _pitch(self) -> torch.Tensor:
+    def _pitch(self) -> Tensor:
         return torch.asin(torch.clamp(up_cosine(*self._quat()), -1.0, 1.0))
 
-    def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
+    def _evaluate(self, finite: Tensor, low: Tensor) -> Judged:
         w = self.worlds
         dt = self.contract.dt
         toes = self._toes_now(low)
@@ -158,7 +159,7 @@ class SitDownEnv(StandTrackEnv):
         }
         return terms, failed, figures
 
-    def _reset(self, mask: torch.Tensor) -> None:
+    def _reset(self, mask: Tensor) -> None:
         super()._reset(mask)
         w = self.worlds
         put(self._height_at_start, mask, w.qpos[:, 2])

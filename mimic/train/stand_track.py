@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
+from torch import Tensor
 
 from mimic.config.training import MdpSettings
 from mimic.dynamics.cuda_graphs import Replayed
@@ -70,18 +71,18 @@ CAPTURE_REACH = 0.05
 """How far a capture point that has left the feet is before or behind the line between them [m]."""
 
 
-def kept_tensors(value: Any) -> dict[Any, torch.Tensor]:
+def kept_tensors(value: Any) -> dict[Any, Tensor]:
     """Return the tensors of an attribute that have memory of their own."""
     if not isinstance(value, dict):
         several: Any = value if isinstance(value, (list, tuple)) else [value]
         value = dict(enumerate(several))
-    return {key: t for key, t in value.items() if isinstance(t, torch.Tensor) and 0 not in t.stride()}
+    return {key: t for key, t in value.items() if isinstance(t, Tensor) and 0 not in t.stride()}
 
 
-Judged = tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]
+Judged = tuple[dict[str, Tensor], Tensor, dict[str, Tensor]]
 
 
-def mean(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+def mean(values: Tensor, weights: Tensor) -> Tensor:
     """Return the mean of values (N,) with these weights (N,)."""
     return (values * weights).sum() / weights.sum().clamp(min=1.0)
 
@@ -89,13 +90,13 @@ def mean(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
 class HindToes(NamedTuple):
     """How the hind toes are and move."""
 
-    clearance: torch.Tensor
+    clearance: Tensor
     """Height above the ground (N, 2) [m]."""
-    contact: torch.Tensor
+    contact: Tensor
     """1 on the ground (N, 2)."""
-    speed: torch.Tensor
+    speed: Tensor
     """Horizontal (N, 2) [m/s]."""
-    slip: torch.Tensor
+    slip: Tensor
     """Of all toes (N,), see `mimic.train.rewards.slip`."""
 
 
@@ -210,7 +211,7 @@ class StandTrackEnv(VecEnv, Chance):
         weights = self._weights_now()
         self._rewarded = list(weights)
         self._weights = torch.tensor(list(weights.values()), device=device)
-        self._log: dict[str, torch.Tensor] = {}
+        self._log: dict[str, Tensor] = {}
 
     def resume_at(self, steps: int) -> None:
         """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
@@ -260,7 +261,7 @@ class StandTrackEnv(VecEnv, Chance):
         if "cuda" in state["generators"]:
             torch.cuda.set_rng_state(state["generators"]["cuda"].cpu(), self.device)
 
-    def _tensors(self) -> dict[str, torch.Tensor]:
+    def _tensors(self) -> dict[str, Tensor]:
         owners = {
             "": self,
             "worlds": self.worlds,
@@ -270,7 +271,7 @@ class StandTrackEnv(VecEnv, Chance):
             "starts": self._starts,
         }
         owners |= {"disturbances": self.disturbances, "motors": self.worlds.motors}
-        found: dict[str, torch.Tensor] = {}
+        found: dict[str, Tensor] = {}
         for owner, holder in owners.items():
             for name, value in vars(holder).items() if holder is not None else ():
                 for key, tensor in kept_tensors(value).items():
@@ -282,7 +283,7 @@ class StandTrackEnv(VecEnv, Chance):
         seen = {"policy": self._policy_obs, "critic": self._critic_obs, "own": self._own}
         return TensorDict({name: tensor.clone() for name, tensor in seen.items()}, batch_size=[self.num_envs])
 
-    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:
         """Apply actions (worlds, 12); return observations, rewards, ends, and figures for the log."""
         self._actions.copy_(actions)
         if self._calls % 240 == 0:
@@ -304,7 +305,7 @@ class StandTrackEnv(VecEnv, Chance):
         self._last_action.copy_(action)
         for age in reversed(range(1, len(self._commands))):
             self._commands[age].copy_(self._commands[age - 1])
-        newest, before, before_that, oldest = self._commands
+        newest, before, *_ = self._commands
         asked = commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
         asked = torch.clamp(asked + self.trunk.targets, self._q_min, self._q_max)
         if self._drives_arms:
@@ -320,12 +321,12 @@ class StandTrackEnv(VecEnv, Chance):
             motors.time.copy_(self.episode_length_buf[:, None] * c.dt)
             motors.send(newest, self._delay)
             return
-        ages = (newest, before, before_that, torch.where, [oldest])
         n = self.worlds.decimation
         for k in range(n):
-            self.worlds.substep_ctrl[k].copy_(command_in_effect(k, n, self._delay, *ages, interpolate=True))
+            acting = command_in_effect(k, n, self._delay, self._commands, torch.where, interpolate=True)
+            self.worlds.substep_ctrl[k].copy_(acting)
 
-    def _arm_targets(self) -> torch.Tensor:
+    def _arm_targets(self) -> Tensor:
         """Return the position targets of the front legs (N, 6) [rad]; see mimic.control.arms."""
         w = self.worlds
         arms = self.arms
@@ -354,20 +355,20 @@ class StandTrackEnv(VecEnv, Chance):
         self._heading.copy_(torch.arctan2(*heading_sin_cos(*self._quat())))  # both captured graphs read it
         self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
 
-    def _quat(self) -> tuple[torch.Tensor, ...]:
+    def _quat(self) -> tuple[Tensor, ...]:
         return self._quat_WB.unbind(-1)
 
-    def _velocity(self) -> torch.Tensor:
+    def _velocity(self) -> Tensor:
         """Base velocity forward and left in the heading frame (N, 2) [m/s], less that of leaning."""
         velocity = in_heading_frame(self.worlds.qvel[:, :2], self._heading)
         return velocity - torch.nn.functional.pad(self.trunk.base_rate[:, :1], (0, 1))
 
-    def _place(self) -> torch.Tensor:
+    def _place(self) -> Tensor:
         """Where the base is on the ground (N, 2) [m], less where leaning brings it."""
         ahead = torch.stack([torch.cos(self._heading), torch.sin(self._heading)], -1)
         return self.worlds.qpos[:, :2] - ahead * self.trunk.base[:, :1]
 
-    def _height(self) -> torch.Tensor:
+    def _height(self) -> Tensor:
         """Height of the base (N,) [m], less what lowering and leaning change."""
         return self.worlds.qpos[:, 2] - self.trunk.base[:, 1]
 
@@ -379,7 +380,7 @@ class StandTrackEnv(VecEnv, Chance):
         self._settled = self.moves.settled & self._tracking() & (self._rank < self._rest_share)
         self._anchor.copy_(torch.where(self._settled[:, None], self._anchor, self._place()))
 
-    def _tracking(self) -> torch.Tensor:
+    def _tracking(self) -> Tensor:
         return self._upright_start | (self.episode_length_buf > STAND_UP_STEPS)
 
     def _after_physics(self) -> None:
@@ -434,7 +435,7 @@ class StandTrackEnv(VecEnv, Chance):
         d = self.disturbances
         self.moves.lead(d.came, d.pull.sum(1)[:, :2], d.hand_velocity, self._heading)
 
-    def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
+    def _evaluate(self, finite: Tensor, low: Tensor) -> Judged:
         """Return the reward terms, which worlds failed (N,), and figures for the log."""
         w = self.worlds
         numbers = self.description.training
@@ -487,8 +488,8 @@ class StandTrackEnv(VecEnv, Chance):
         return terms, ended, figures
 
     def _standing_figures(
-        self, tracking: torch.Tensor, toes: HindToes, change: torch.Tensor, drift: torch.Tensor, fallen: torch.Tensor
-    ) -> dict[str, torch.Tensor]:
+        self, tracking: Tensor, toes: HindToes, change: Tensor, drift: Tensor, fallen: Tensor
+    ) -> dict[str, Tensor]:
         """Return how quietly robots stand, how they step, and how they are led."""
         d = self.disturbances
         quiet = self.worlds.quiet * tracking
@@ -507,9 +508,7 @@ class StandTrackEnv(VecEnv, Chance):
             "led/behind": mean(d.behind, d.held.float()),
         }
 
-    def _tracking_figures(
-        self, tracking: torch.Tensor, sway: torch.Tensor, turn: torch.Tensor, fallen: torch.Tensor
-    ) -> dict[str, torch.Tensor]:
+    def _tracking_figures(self, tracking: Tensor, sway: Tensor, turn: Tensor, fallen: Tensor) -> dict[str, Tensor]:
         """Return how well robots follow what they are asked, and how many fall."""
         toes = front_toes(self.worlds.qpos[:, 7:], self.description, torch)
         off = toes - front_toes(self.arms.q[:, 1], self.description, torch)
@@ -522,9 +521,7 @@ class StandTrackEnv(VecEnv, Chance):
             "all/ends": fallen.mean(),
         }
 
-    def _terminations(
-        self, low: torch.Tensor, hind: torch.Tensor, tracking: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def _terminations(self, low: Tensor, hind: Tensor, tracking: Tensor) -> tuple[Tensor, Tensor]:
         """Return where an episode ends in a fall or by one of the paper's terminations, and how many of them hold."""
         q = self.worlds.qpos[:, 7:]
         step = self.episode_length_buf
@@ -541,16 +538,16 @@ class StandTrackEnv(VecEnv, Chance):
         met = torch.stack([near, high, jump, touch]).float().sum(0)
         return fallen | ((met > 0) & (self._rand() < self._termination_share)), met
 
-    def _early(self) -> torch.Tensor:
+    def _early(self) -> Tensor:
         return ~self._upright_start & (self.episode_length_buf <= GRACE_STEPS)
 
-    def _way_of_feet(self, hind: torch.Tensor) -> torch.Tensor:
+    def _way_of_feet(self, hind: Tensor) -> Tensor:
         """Return the ways of the hind toes from where they began (N, 2, 3) [m]."""
         first = (self.episode_length_buf == 1)[:, None, None]
         self._toes_at_start.copy_(torch.where(first, hind, self._toes_at_start))
         return hind - self._toes_at_start
 
-    def _toes_now(self, low: torch.Tensor) -> HindToes:
+    def _toes_now(self, low: Tensor) -> HindToes:
         """Return how the hind toes are and move."""
         w = self.worlds
         clearance = low[:, self._hind_toes]
@@ -558,7 +555,7 @@ class StandTrackEnv(VecEnv, Chance):
         slip = rewards.slip(w.toes[..., 2], velocity, turning, below=rewards.SLIP_HEIGHT)
         return HindToes(clearance, (clearance < 0.003).float(), velocity[:, 2:].norm(dim=-1), slip)
 
-    def _efforts(self) -> dict[str, torch.Tensor]:
+    def _efforts(self) -> dict[str, Tensor]:
         """Return the reward terms of motion and torque, which all tasks have; of the joints that the policy moves."""
         w = self.worlds
         own = self._own
@@ -575,7 +572,7 @@ class StandTrackEnv(VecEnv, Chance):
             "limits": rewards.limits(w.qpos[:, 7:], self._soft_min, self._soft_max, own),
         }
 
-    def _toppling(self, hind: torch.Tensor) -> torch.Tensor:
+    def _toppling(self, hind: Tensor) -> Tensor:
         """Return where the capture point lies before, behind or beside both hind toes (N,); toes (N, 2, 3) [m]."""
         w = self.worlds
         fall = torch.sqrt(w.com[:, 2].clamp(min=0.05) / abs(float(w.mj_model.opt.gravity[2])))
@@ -584,11 +581,11 @@ class StandTrackEnv(VecEnv, Chance):
         apart = in_heading_frame(hind[:, 0, :2] - hind[:, 1, :2], self._heading)[:, 1].abs()
         return (ahead > CAPTURE_REACH) | (aside > 0.5 * apart)
 
-    def _first_phase(self, start: Start) -> torch.Tensor:
+    def _first_phase(self, start: Start) -> Tensor:
         """Return the gait phase (N,) at the first step [rad]."""
         return self._uniform(-math.pi, math.pi)
 
-    def _remember(self, earned: torch.Tensor, figures: dict[str, torch.Tensor], finite: torch.Tensor) -> None:
+    def _remember(self, earned: Tensor, figures: dict[str, Tensor], finite: Tensor) -> None:
         # stacked, since on a GPU a launch costs more than the numbers
         values = torch.cat([earned.mean(-1), torch.stack([*figures.values(), 1 - finite.float().mean()])])
         if not self._log:
@@ -597,7 +594,7 @@ class StandTrackEnv(VecEnv, Chance):
             self._log = dict(zip(names, self._log_values.unbind(), strict=True))
         self._log_values.copy_(values)
 
-    def _phase(self) -> torch.Tensor:
+    def _phase(self) -> Tensor:
         rate = 2 * math.pi * self.contract.clock_hz * self.contract.dt
         return self.phase_at_start + rate * self.episode_length_buf
 
@@ -612,7 +609,7 @@ class StandTrackEnv(VecEnv, Chance):
         kick = torch.stack([speed * torch.cos(angle), speed * torch.sin(angle)], -1)
         self.worlds.qvel[:, :2].add_(kick * due[:, None])
 
-    def _reset(self, mask: torch.Tensor) -> None:
+    def _reset(self, mask: Tensor) -> None:
         w = self.worlds
         start = self._starts.draw()
         put(w.qpos, mask, start.qpos)
@@ -639,7 +636,7 @@ class StandTrackEnv(VecEnv, Chance):
         unknown = (self._rand() < self.settings.unknown_share) | self.disturbances.led
         put(self._known, mask, (~unknown).float())
 
-    def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
+    def _observe(self, fresh: Tensor, low: Tensor) -> None:
         w = self.worlds
         n = self.num_envs
         read_quat = quat_multiply(self._quat_WB, self.disturbances.mount)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from mimic.config.play import RAMP, Randomisation
 from mimic.config.training import MdpSettings
@@ -67,17 +68,17 @@ JITTER = 0.15
 class Start:
     """One start for each world."""
 
-    upright: torch.Tensor
+    upright: Tensor
     """True where the world starts upright (N,)."""
-    heading: torch.Tensor
+    heading: Tensor
     """(N,) [rad]"""
-    command: torch.Tensor
+    command: Tensor
     """Commanded joint positions in effect until the first command arrives (N, 12) [rad]."""
-    qpos: torch.Tensor
+    qpos: Tensor
     """MuJoCo's positions (N, 19)."""
-    qvel: torch.Tensor
+    qvel: Tensor
     """MuJoCo's velocities (N, 18)."""
-    anytime: torch.Tensor
+    anytime: Tensor
     """True where the start may be at any time of a task that has a clock (N,)."""
 
 
@@ -144,9 +145,7 @@ class Starts(Chance):
             command = torch.where(ramped, self._lie, qpos[:, 7:])
         return Start(upright=upright, heading=heading, command=command, qpos=qpos, qvel=qvel, anytime=upright)
 
-    def _placed(
-        self, upright: torch.Tensor, quat: torch.Tensor, q: torch.Tensor, margin: float, above: tuple[float, float]
-    ) -> torch.Tensor:
+    def _placed(self, upright: Tensor, quat: Tensor, q: Tensor, margin: float, above: tuple[float, float]) -> Tensor:
         """Return positions (N, 19) a little above the poses' heights; upright robots have front legs anywhere."""
         low = self._q_min + margin
         high = self._q_max - margin
@@ -157,7 +156,7 @@ class Starts(Chance):
         return torch.cat([self._zeros(2), height[:, None], quat, q], -1)
 
 
-def turned(qpos: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
+def turned(qpos: Tensor, heading: Tensor) -> Tensor:
     """Return positions (N, 19) turned about up by heading (N,) [rad], about where the base is."""
     w, x, y, z = qpos[:, 3:7].unbind(-1)
     c = torch.cos(heading / 2)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 
 class Chance:
@@ -15,26 +16,26 @@ class Chance:
         self._n = worlds
         self._device = device
 
-    def _rand(self, *shape: int) -> torch.Tensor:
+    def _rand(self, *shape: int) -> Tensor:
         return torch.rand(self._n, *shape, device=self._device)
 
-    def _uniform(self, low: float, high: float, *shape: int) -> torch.Tensor:
+    def _uniform(self, low: float, high: float, *shape: int) -> Tensor:
         return low + (high - low) * self._rand(*shape)
 
-    def _zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    def _zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
         return torch.zeros(self._n, *shape, device=self._device, dtype=dtype)
 
-    def _tensor(self, values: Any) -> torch.Tensor:
+    def _tensor(self, values: Any) -> Tensor:
         return torch.as_tensor(np.asarray(values), dtype=torch.float32, device=self._device)
 
 
-def put(buffer: torch.Tensor, where: torch.Tensor, value: torch.Tensor | float) -> None:
+def put(buffer: Tensor, where: Tensor, value: Tensor | float) -> None:
     """Write into the rows of a buffer (N, ...) for which ``where`` (N,) is true."""
     rows = where.view(-1, *[1] * (buffer.dim() - 1))
     buffer.copy_(torch.where(rows, value, buffer))
 
 
-def in_heading_frame(vectors: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
+def in_heading_frame(vectors: Tensor, heading: Tensor) -> Tensor:
     """Return horizontal vectors of the world (N, 2) forward and left, for headings (N,) [rad]."""
     cosine = torch.cos(heading)
     sine = torch.sin(heading)
@@ -42,7 +43,7 @@ def in_heading_frame(vectors: torch.Tensor, heading: torch.Tensor) -> torch.Tens
     return torch.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
 
 
-def quat_multiply(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+def quat_multiply(one: Tensor, other: Tensor) -> Tensor:
     """Return the product of quaternions."""
     a = one[..., :1]
     v = one[..., 1:]
@@ -51,7 +52,7 @@ def quat_multiply(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
     return torch.cat([a * b - (v * u).sum(-1, keepdim=True), a * u + b * v + torch.linalg.cross(v, u)], -1)
 
 
-def quat_rotate(quat: torch.Tensor, vector: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
+def quat_rotate(quat: Tensor, vector: Tensor, *, inverse: bool = False) -> Tensor:
     """Return vectors (..., 3) turned by unit quaternions, or back."""
     w = quat[..., :1]
     axis = quat[..., 1:]
@@ -60,7 +61,7 @@ def quat_rotate(quat: torch.Tensor, vector: torch.Tensor, *, inverse: bool = Fal
     return vector + w * twice + torch.linalg.cross(axis, twice)
 
 
-def quat_from_euler(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
+def quat_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
     """Return quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll), angles (N,) [rad]."""
     cr = torch.cos(roll / 2)
     sr = torch.sin(roll / 2)

@@ -21,6 +21,7 @@ import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
+from torch import Tensor
 
 from mimic.config.play import Randomisation
 from mimic.config.training import UNDISTURBED, MdpSettings
@@ -281,23 +282,23 @@ class Worlds:
         self._gravity.copy_(quat_rotate(self.slope_quat, self._level, inverse=True))
 
     @property
-    def motor_torque(self) -> torch.Tensor:
+    def motor_torque(self) -> Tensor:
         """Torque that each motor gives (N, 12) [N m]."""
         return self.actuator_force if self.motors is None else self.motors.tau
 
     @property
-    def read_q(self) -> torch.Tensor:
+    def read_q(self) -> Tensor:
         """Joint positions as the encoders read them (N, 12) [rad]."""
         q = self.qpos[:, 7:]
         return q if self.motors is None else self.motors.reading(q)
 
-    def columns(self, *roles: str, legs: Sequence[str] = LEGS) -> torch.Tensor:
+    def columns(self, *roles: str, legs: Sequence[str] = LEGS) -> Tensor:
         """Return the columns of `lowest` of the collision shapes with these roles (mimic.robot.parts.ROLES)."""
         wanted = self._description.names.shapes(*roles, legs=legs)
         found = [i for i, name in enumerate(self._shapes) if name in wanted]
         return torch.tensor(found, dtype=torch.long, device=self.device)
 
-    def lowest(self) -> torch.Tensor:
+    def lowest(self) -> Tensor:
         """Return the height of the lowest point of each collision shape (worlds, shapes) [m]."""
         up = self.geom_xmat[:, self._geoms, 2, :]
         size = self._sizes
@@ -310,17 +311,17 @@ class Worlds:
         return self.geom_xpos[:, self._geoms, 2] - drop
 
     @property
-    def toes(self) -> torch.Tensor:
+    def toes(self) -> Tensor:
         """Positions of the toes in the order of LEGS, world axes (N, 4, 3) [m]."""
         return self.site_xpos[:, self._toe_sites]
 
-    def toe_motion(self) -> tuple[torch.Tensor, torch.Tensor]:
+    def toe_motion(self) -> tuple[Tensor, Tensor]:
         """Return horizontal toe velocities (N, 4, 2) [m/s] and turning of the lower legs about the vertical (N, 4)."""
         turning, velocity = torch.nan_to_num(self._cvel[:, self._toe_bodies]).split(3, -1)
         velocity = velocity + torch.linalg.cross(turning, self.toes - self.com[:, None])
         return velocity[..., :2], turning[..., 2]
 
-    def load(self) -> torch.Tensor:
+    def load(self) -> Tensor:
         """Return the share of its weight on each robot's left and right hind foot (N, 2), in the last physics step."""
         count, geom, world, row, force = self._contacts
         row = row[:, 0]

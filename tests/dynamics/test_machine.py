@@ -84,7 +84,7 @@ def test_a_tilted_base_is_a_model_that_is_turned(tmp_path: Path) -> None:
     turn = Rotation.from_euler("y", pitch) * Rotation.from_euler("x", roll)
     w, x, y, z = turn.as_quat(scalar_first=True)
     turned, level = arm(tmp_path, turn=f'quat="{w} {x} {y} {z}"'), arm(tmp_path)
-    gravity = tilted_gravity(np.array([roll]), np.array([pitch]))[0]
+    gravity = tilted_gravity(roll, pitch)
     q = np.array([0.4, -0.7, 0.9])
     assert static(level, q, gravity)[1] == pytest.approx(static(turned, q)[1], abs=1e-9)
 

@@ -301,7 +301,7 @@ def test_a_ball_rebounds_as_asked(restitution, speed):
 def test_each_command_acts_for_one_control_step_after_its_delay(delay):
     commands = list(range(10))
     acting = [
-        int(command_in_effect(k, 4, delay, commands[i], commands[i - 1], commands[i - 2], np.where))
+        int(command_in_effect(k, 4, delay, commands[i - 2 : i + 1][::-1], np.where, interpolate=False))
         for i in range(2, 10)
         for k in range(4)
     ]
@@ -313,7 +313,7 @@ def test_each_command_acts_for_one_control_step_after_its_delay(delay):
 def test_longer_delays_reach_further_back(delay):
     commands = list(range(12))
     acting = [
-        int(command_in_effect(k, 4, delay, *commands[i : i - 3 : -1], np.where, commands[i - 3 : i - 5 : -1]))
+        int(command_in_effect(k, 4, delay, commands[i - 4 : i + 1][::-1], np.where, interpolate=False))
         for i in range(5, 12)
         for k in range(4)
     ]

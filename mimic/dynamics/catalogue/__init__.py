@@ -1,4 +1,4 @@
-"""The catalogue of physical effects: equations, parameters, units, bounds and signatures; one module for each family.
+"""The catalogue of physical effects: equations, parameters, units, bounds and signatures, in effects.toml.
 
 One catalogue for simulation, training, calibration and the emulator. `mimic.dynamics.law` turns the parameters
 into what the physics is given at every step; this package only says what exists. A parameter at its neutral value has
@@ -11,15 +11,11 @@ Joints may slide instead of turn: read N for N m, m for rad.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
-from mimic.dynamics.catalogue.baseline import BASELINE
-from mimic.dynamics.catalogue.commands import COMMANDS
-from mimic.dynamics.catalogue.drive import DRIVE
-from mimic.dynamics.catalogue.encoder import ENCODER
-from mimic.dynamics.catalogue.forces import FORCES
-from mimic.dynamics.catalogue.friction import FRICTION
+from mimic.config.text_file import from_toml, read_text
 from mimic.dynamics.catalogue.kinds import MODEL, Effect, Parameter
-from mimic.dynamics.catalogue.transmission import TRANSMISSION
 from mimic.errors import ConfigError
 
 __all__ = ["CATALOGUE", "MODEL", "Effect", "Parameter", "UnknownEffect", "effect", "scale_of", "unit_of"]
@@ -33,9 +29,22 @@ class UnknownEffect(ConfigError):
         super().__init__(f"effect {name!r} is not in the catalogue; it has {', '.join(CATALOGUE)}")
 
 
-CATALOGUE: Mapping[str, Effect] = {
-    effect.name: effect for effect in (*BASELINE, *DRIVE, *FRICTION, *TRANSMISSION, *ENCODER, *FORCES, *COMMANDS)
-}
+def _starts(given: Any) -> tuple[float, ...]:
+    """Return where a fit begins: a list, or ``count`` numbers from ``first`` on, each ``factor`` times the last."""
+    if isinstance(given, dict):
+        return tuple(given["first"] * given["factor"] ** k for k in range(given["count"]))
+    return tuple(given)
+
+
+def _effect(row: dict[str, Any]) -> Effect:
+    """Return the effect of a table of effects.toml."""
+    parameters = (Parameter(**one | {"starts": _starts(one.get("starts", ()))}) for one in row["parameters"])
+    return Effect(**row | {"parameters": tuple(parameters)})
+
+
+_ROWS = from_toml(read_text(Path(__file__).with_name("effects.toml")))["effect"]
+
+CATALOGUE: Mapping[str, Effect] = {row["name"]: _effect(row) for row in _ROWS}
 """Every effect by name."""
 
 

@@ -13,9 +13,6 @@ MODEL = "model"
 UNLIMITED = 1e6
 """Stands for no limit on a torque or a speed."""
 
-STANDARD = "standard model; MuJoCo 4 documentation, Computation"
-"""Source of what every textbook has."""
-
 
 @dataclass(frozen=True, slots=True)
 class Parameter:

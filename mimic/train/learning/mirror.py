@@ -10,6 +10,7 @@ from functools import cache
 from itertools import chain
 
 import torch
+from torch import Tensor
 
 from mimic.policy.contract import AHEAD, ARM_TERMS, AVERAGED, FRAME_SIZE, TERMS
 
@@ -34,7 +35,7 @@ MIRRORED = {
 
 
 @cache
-def _image(device: torch.device, *names: str) -> tuple[torch.Tensor, torch.Tensor]:
+def _image(device: torch.device, *names: str) -> tuple[Tensor, Tensor]:
     """Return the same for terms that stand one after another."""
     order: list[int] = []
     signs: list[float] = []
@@ -45,13 +46,13 @@ def _image(device: torch.device, *names: str) -> tuple[torch.Tensor, torch.Tenso
     return torch.tensor(order, device=device), torch.tensor(signs, device=device)
 
 
-def mirrored_actions(actions: torch.Tensor) -> torch.Tensor:
+def mirrored_actions(actions: Tensor) -> Tensor:
     """Return actions (N, 12) in the mirror."""
     order, signs = _image(actions.device, "last_action")
     return actions[:, order] * signs
 
 
-def mirrored_observations(observations: torch.Tensor) -> torch.Tensor:
+def mirrored_observations(observations: Tensor) -> Tensor:
     """Return the policy's observations (N, observation_size) in the mirror."""
     frames, once = divmod(observations.shape[1], FRAME_SIZE)
     names = [name for name, _ in TERMS] * frames + [name for name, _ in ARM_TERMS] * bool(once)
