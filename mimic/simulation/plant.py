@@ -201,9 +201,7 @@ class SimulatedPlant:
             return
         delay = self.variation.delay_steps
         decimation = self._description.decimation
-        data.ctrl[:] = command_in_effect(
-            substep, decimation, delay, self._commands, np.where, interpolate=self._ramps
-        )
+        data.ctrl[:] = command_in_effect(substep, decimation, delay, self._commands, np.where, interpolate=self._ramps)
         self._pull(data)
 
     def _set_gains(self, command: JointCommand) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from mimic.config.play import RunSettings
 from mimic.config.training import MdpSettings
 from mimic.policy.contract import (
     ARM_TERMS,
+    BY_JOINT,
     DQ_SCALE,
     GYRO_SCALE,
     INVERSE_KINEMATICS,
@@ -39,6 +42,7 @@ WALK_TURN = 0.2
 def make_contract(description: RobotDescription, settings: MdpSettings, training: str = "") -> PolicyContract:
     """Return what a policy trained with these settings promises."""
     neutral = front_toes(description.poses["upright"], description)
+    by_joint: dict[str, Any] = {name: tuple(getattr(description, name).tolist()) for name in BY_JOINT}
     sits = settings.task == "sit_down"
     return PolicyContract(
         robot=description.name,
@@ -48,8 +52,7 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         action_clip=ACTION_CLIP,
         q_min=tuple((description.q_min + settings.command_margin).tolist()),
         q_max=tuple((description.q_max - settings.command_margin).tolist()),
-        kp=tuple(description.kp.tolist()),
-        kd=tuple(description.kd.tolist()),
+        **by_joint,
         dt=description.dt,
         history=settings.history,
         terms=TERMS,
@@ -60,9 +63,6 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         velocity_max=(0.0, 0.0) if sits else (settings.fastest, 0.0),
         toe_low=tuple(description.goals.low.min(axis=0).tolist()),
         toe_high=tuple(description.goals.high.max(axis=0).tolist()),
-        torque_max=tuple(description.torque_max.tolist()),
-        speed_flat=tuple(description.speed_flat.tolist()),
-        speed_max=tuple(description.speed_max.tolist()),
         delay=description.delay,
         arms=NETWORK if sits else INVERSE_KINEMATICS,
         once=() if sits else ARM_TERMS,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -142,6 +143,23 @@ class ArmSchedule(Chance):
         self.ddq.copy_(way * 60 * share * left * (1 - 2 * share) / length.square())
 
 
+class TrunkState(NamedTuple):
+    """What lowering and leaning change."""
+
+    hind: Tensor
+    """Joints of the hind legs (N, 6) [rad]."""
+    torque: Tensor
+    """Torques of the hind legs (N, 6) [N m]."""
+    base: Tensor
+    """How far the base is forward and up (N, 2) [m]."""
+    asked: Tensor
+    """Height [m] and pitch [rad] that all this is of (N, 2)."""
+
+
+WIDTHS = [HIND, HIND, 2, 2]
+"""Numbers of each."""
+
+
 class TrunkSchedule(Chance):
     """A trunk that is lowered and leant now and then; see mimic.robot.trunk."""
 
@@ -164,51 +182,23 @@ class TrunkSchedule(Chance):
         self._time = self._zeros()
         self._length = self._zeros() + 1.0
         self._hold = self._zeros()
-        self._sent = self._zeros(self._lag + 2, 2 * HIND + 4)
-        """Joints, torques, base, height and pitch of the newest commands, newest first (N, lag + 2, 16)."""
+        self._sent = self._zeros(self._lag + 2, sum(WIDTHS))
+        """`TrunkState` of the newest commands, newest first (N, lag + 2, 16)."""
         self.targets = self._zeros(FRONT + HIND)
         """What position targets change by (N, 12) [rad]."""
-
-    def _seen(self) -> Tensor:
-        return self._sent[:, self._lag]
 
     def _rate(self, age: int) -> Tensor:
         return (self._sent[:, age] - self._sent[:, age + 1]) / self._dt
 
     @property
-    def joints(self) -> Tensor:
-        """What all joints are off by now (N, 12) [rad]."""
-        return torch.nn.functional.pad(self._seen()[:, :HIND], (FRONT, 0))
+    def now(self) -> TrunkState:
+        """What is in effect."""
+        return TrunkState(*self._sent[:, self._lag].split(WIDTHS, -1))
 
     @property
-    def joint_rates(self) -> Tensor:
-        """Its rate (N, 12) [rad/s]."""
-        return torch.nn.functional.pad(self._rate(self._lag)[:, :HIND], (FRONT, 0))
-
-    @property
-    def base(self) -> Tensor:
-        """How far the base is forward and up (N, 2) [m]."""
-        return self._seen()[:, 2 * HIND : 2 * HIND + 2]
-
-    @property
-    def base_rate(self) -> Tensor:
-        """Its rate (N, 2) [m/s]."""
-        return self._rate(self._lag)[:, 2 * HIND : 2 * HIND + 2]
-
-    @property
-    def asked(self) -> Tensor:
-        """Height [m] and pitch [rad] that joints and base are of (N, 2)."""
-        return self._seen()[:, 2 * HIND + 2 :]
-
-    @property
-    def pitch(self) -> Tensor:
-        """The pitch of these (N,) [rad]."""
-        return self._seen()[:, -1]
-
-    @property
-    def pitch_rate(self) -> Tensor:
-        """Rate of the pitch (N,) [rad/s]."""
-        return self._rate(self._lag)[:, -1]
+    def rate(self) -> TrunkState:
+        """Its rate [1/s]."""
+        return TrunkState(*self._rate(self._lag).split(WIDTHS, -1))
 
     def advance(self, tracking: Tensor) -> None:
         """Let one control step pass; before a robot tracks (N,) its trunk stays."""

@@ -14,6 +14,7 @@ import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
+from torch.nn.functional import pad
 
 from mimic.config.training import MdpSettings
 from mimic.dynamics.cuda_graphs import Replayed
@@ -48,8 +49,8 @@ from mimic.train.tensors import Chance, in_heading_frame, put, quat_multiply, qu
 from mimic.train.weights import REWARD_SCALE, passed, weights_at
 from mimic.train.worlds import Worlds
 
-CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1 + 2
-"""Width of what the critic sees beyond the observation."""
+CRITIC_EXTRAS = 66
+"""Width of what the critic sees beyond the observation; `_observe` lists it."""
 
 CRITIC_TRUNK = 5.0
 """Units of what the critic sees a metre of the trunk's height, and a rad of its pitch."""
@@ -351,7 +352,7 @@ class StandTrackEnv(VecEnv, Chance):
         as if the trunk were not leant.
         """
         w = self.worlds
-        self._quat_WB = without_pitch(quat_multiply(w.slope_quat, w.qpos[:, 3:7]), self.trunk.pitch, torch)
+        self._quat_WB = without_pitch(quat_multiply(w.slope_quat, w.qpos[:, 3:7]), self.trunk.now.asked[:, 1], torch)
         self._heading.copy_(torch.arctan2(*heading_sin_cos(*self._quat())))  # both captured graphs read it
         self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
 
@@ -361,16 +362,16 @@ class StandTrackEnv(VecEnv, Chance):
     def _velocity(self) -> Tensor:
         """Base velocity forward and left in the heading frame (N, 2) [m/s], less that of leaning."""
         velocity = in_heading_frame(self.worlds.qvel[:, :2], self._heading)
-        return velocity - torch.nn.functional.pad(self.trunk.base_rate[:, :1], (0, 1))
+        return velocity - pad(self.trunk.rate.base[:, :1], (0, 1))
 
     def _place(self) -> Tensor:
         """Where the base is on the ground (N, 2) [m], less where leaning brings it."""
         ahead = torch.stack([torch.cos(self._heading), torch.sin(self._heading)], -1)
-        return self.worlds.qpos[:, :2] - ahead * self.trunk.base[:, :1]
+        return self.worlds.qpos[:, :2] - ahead * self.trunk.now.base[:, :1]
 
     def _height(self) -> Tensor:
         """Height of the base (N,) [m], less what lowering and leaning change."""
-        return self.worlds.qpos[:, 2] - self.trunk.base[:, 1]
+        return self.worlds.qpos[:, 2] - self.trunk.now.base[:, 1]
 
     def _follow(self) -> None:
         """Bring up to date how each robot has moved, and where it came to rest."""
@@ -639,15 +640,17 @@ class StandTrackEnv(VecEnv, Chance):
     def _observe(self, fresh: Tensor, low: Tensor) -> None:
         w = self.worlds
         n = self.num_envs
+        trunk = self.trunk.now
+        rate = self.trunk.rate
         read_quat = quat_multiply(self._quat_WB, self.disturbances.mount)
         error = heading_error(read_quat, self.moves.heading, torch)
         gait = next_gait(self._gait, self.moves.velocity, error, self.contract, torch)
         self._gait.copy_(torch.where(self._rank < self._rest_share, gait, torch.ones_like(gait)))
         omega = quat_rotate(self.disturbances.mount, w.qvel[:, 3:6], inverse=True) + self.disturbances.gyro_bias
-        omega = without_pitch_rate(omega, self.trunk.pitch, self.trunk.pitch_rate, torch)
+        omega = without_pitch_rate(omega, trunk.asked[:, 1], rate.asked[:, 1], torch)
         frame = observation_frame(
             terms=self.contract.terms,
-            q_offset=w.read_q - self._default_q - self.trunk.joints,
+            q_offset=w.read_q - self._default_q - pad(trunk.hind, (FRONT, 0)),
             quat_WB=read_quat,
             last_action=self._last_action,
             v_des=self.moves.velocity,
@@ -656,7 +659,7 @@ class StandTrackEnv(VecEnv, Chance):
             phase=self._phase(),
             gait=self._gait,
             omega_B=omega,
-            dq=w.qvel[:, 6:] - self.trunk.joint_rates,
+            dq=w.qvel[:, 6:] - pad(rate.hind, (FRONT, 0)),
             xp=torch,
         )
         noisy = frame + self._noise[:, None] * self._noise_half * (2 * torch.rand_like(frame) - 1)
@@ -698,7 +701,7 @@ class StandTrackEnv(VecEnv, Chance):
             self._gait[:, None],
             self._noise[:, None],
             w.quiet.float()[:, None],
-            self.trunk.asked * CRITIC_TRUNK,
+            trunk.asked * CRITIC_TRUNK,
         ]
         known = torch.cat([self._policy_obs, *extras], -1)  # a world that exploded has its shapes back after a step
         self._critic_obs.copy_(torch.nan_to_num(known).clamp(-50, 50))

@@ -100,12 +100,12 @@ def lead(
     if result.interrupted:
         raise KeyboardInterrupt
     if film is not None:
-        from mimic.view.film.led_by_hand import save_leading_film
+        from mimic.view.film.side_by_side import save_video
 
         rows = np.clip(np.searchsorted(pull.t, result.log.t), 0, max(len(pull.t) - 1, 0))
         held = (result.log.t >= hand.begin) & (result.log.t < hand.end)
         at, force = (np.where(held[:, None], np.array([*v, np.zeros(3)])[rows], 0.0) for v in (pull.at, pull.force))
-        save_leading_film(film, log=result.log, description=description, at=at, force=force)
+        save_video(film, log=result.log, description=description, pull=(at, force))
     return Led(figures=lead_figures(result, pull, hand), log=result.log, fell_at=result.fell_at)
 
 

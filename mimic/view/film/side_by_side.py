@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,6 +59,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
         height: int,
         targets: TargetTrack | None = None,
         pose: PoseTrack | None = None,
+        pull: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         """Prepare rendering.
 
@@ -68,6 +70,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
             height: Height of the pictures [px].
             targets: Also shows the targets before clamping.
             pose: The person; the robot is seen from where the camera saw them.
+            pull: Where a hand pulls at each tick (T, 3), world axes [m], and how strongly (T, 3) [N]; an arrow.
 
         Raises:
             NoOffscreenGL: If off-screen rendering is not available.
@@ -76,6 +79,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
         self._radius = description.toe_radius
         self._tall = description.pose_height["upright"]
         self._aimed = log.aimed
+        self._pull = pull
         model = load_model(description)
         self._qpos = qpos_at_ticks(log, model)
         self._target = in_world(self._qpos, log.p_BE_des)
@@ -91,13 +95,8 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
         unclamped = np.where(targets.moved[rows, :, None] > _CLAMP_SHOWN, targets.wanted[rows], np.nan)
         return in_world(self._qpos, unclamped)
 
-    def picture(self, tick: int, pull: tuple[FloatArray, FloatArray] | None = None) -> np.ndarray:
-        """Return a picture of the robot at a tick (H, W, 3), RGB, with toe targets as transparent balls.
-
-        Args:
-            tick: Row of the log.
-            pull: Where a hand pulls (3,), world axes [m], and how strongly (3,) [N], drawn as an arrow.
-        """
+    def picture(self, tick: int) -> np.ndarray:
+        """Return a picture of the robot at a tick (H, W, 3), RGB, with toe targets as transparent balls."""
         screen = self._screen
         lookat = np.array([*self._path[tick], _LOOK_HEIGHT * self._tall])
         screen.pose(self._qpos[tick], lookat, distance=_DISTANCE * self._tall, azimuth=self._azimuth, elevation=-_DOWN)
@@ -109,8 +108,8 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
                 screen.add_ball(self._target[tick, i], _TARGET_RADIUS, (red, green, blue, 0.45))
             if tracking and self._unclamped is not None and np.isfinite(self._unclamped[tick, i]).all():
                 screen.add_ball(self._unclamped[tick, i], 0.012, (1.0, 1.0, 1.0, 0.8))
-        if pull is not None:
-            at, force = pull
+        if self._pull is not None:
+            at, force = (values[tick] for values in self._pull)
             screen.add_arrow(at, at + METRES_PER_NEWTON * force, 0.012, (0.95, 0.75, 0.1, 1.0))
         return screen.picture()
 
@@ -126,6 +125,7 @@ def save_video(
     targets: TargetTrack | None = None,
     pose: PoseTrack | None = None,
     video: Path | None = None,
+    pull: tuple[FloatArray, FloatArray] | None = None,
     fps: int = 30,
     height: int = 480,
     made_by: Provenance | None = None,
@@ -141,6 +141,7 @@ def save_video(
         log: Log of the robot.
         targets: Also shows the targets before clamping, as small white balls.
         video: The video of ``pose``; without both, the film shows only the robot.
+        pull: The pull of a hand, see `RobotFilm`; drawn and written.
         fps: Frames per second of the film.
         height: Height of the film [px].
         made_by: Stored as JSON in the film's comment.
@@ -155,16 +156,19 @@ def save_video(
     times = clock[0] + np.arange(max(1, round((clock[-1] - clock[0]) * fps))) / fps
     ticks = nearest(clock, times)
     errors = 100 * np.linalg.norm(log.p_BE - log.p_BE_des, axis=-1)
+    newtons = None if pull is None else np.linalg.norm(pull[1], axis=1)
     video_frames = None if video is None or pose is None else _video_frames(video, pose, times, height)
 
     band = text_band(height)
+    shown: dict[str, Any] = {"width": height, "height": height - band, "targets": targets, "pose": pose, "pull": pull}
 
     def frames() -> Iterator[np.ndarray]:
-        with RobotFilm(log, description, width=height, height=height - band, targets=targets, pose=pose) as film:
+        with RobotFilm(log, description, **shown) as film:
             for done, tick in enumerate(ticks, start=1):
                 robot = np.pad(film.picture(int(tick)), ((0, band), (0, 0), (0, 0)))
-                frame = "" if pose is None else _frame_text(clock[tick : tick + 1], pose.t)
-                _caption(robot, log, int(tick), float(clock[tick]), frame, errors[tick])
+                said = [] if pose is None else [_frame_text(clock[tick : tick + 1], pose.t)]
+                said += [] if newtons is None else [f"pull {newtons[tick]:.1f} N"]
+                _caption(robot, log, int(tick), float(clock[tick]), said, errors[tick])
                 yield robot if video_frames is None else np.hstack([next(video_frames), robot])
                 if progress is not None:
                     progress(done, len(ticks))
@@ -217,14 +221,11 @@ def _frame_text(moment: FloatArray, frames: FloatArray) -> str:
     return f"frame {number} of {len(frames)}"
 
 
-def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float, frame: str, error: FloatArray) -> None:
-    """Write time, frame of the video, phase and toe error (2,) [cm] into a picture of the robot."""
+def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float, said: list[str], error: FloatArray) -> None:
+    """Write time, what is said of it, phase and toe error (2,) [cm] into a picture of the robot."""
     phase = PHASES[log.phase[tick]]
     white: skeleton.Colour = (240, 243, 246)
-    texts: list[tuple[str, skeleton.Colour]] = [(f"{moment:.1f} s", white)]
-    if frame:
-        texts.append((frame, white))
-    texts.append((PHASE_TITLES[phase], white))
+    texts = [(text, white) for text in (f"{moment:.1f} s", *said, PHASE_TITLES[phase])]
     if phase == "track":
         texts.append(("toe error", white))
         texts += [(f"{e:.1f} cm", soft(skeleton.COLOURS[side])) for e, side in zip(error, SIDES, strict=True)]

@@ -116,8 +116,11 @@ def feet_seen(pose: PoseTrack) -> bool:
 def wrists(pose: PoseTrack, points: FloatArray) -> dict[str, tuple[FloatArray, BoolArray]]:
     """Return for each side the wrist (T, D) in the axes of ``points`` (T, L, D), and whether it is visible (T,)."""
     seen = visible(points, pose.valid)
-    columns = {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
-    return {side: (points[:, i], seen[:, i]) for side, i in columns.items()}
+    return {side: (points[:, i], seen[:, i]) for side, i in _wrist_columns(pose).items()}
+
+
+def _wrist_columns(pose: PoseTrack) -> dict[str, int]:
+    return {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
 
 
 def certainty(pose: PoseTrack) -> dict[str, FloatArray]:
@@ -126,10 +129,12 @@ def certainty(pose: PoseTrack) -> dict[str, FloatArray]:
     Visibility counts from just usable to fully visible, the spread of the depth from _UNKNOWN_DEPTH to
     _WELL_KNOWN_DEPTH.
     """
-    columns = {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
-    visible = {side: (pose.score[:, i] - _JUST_USABLE) / (1 - _JUST_USABLE) for side, i in columns.items()}
     known = (_UNKNOWN_DEPTH - np.nan_to_num(pose.depth_spread)) / (_UNKNOWN_DEPTH - _WELL_KNOWN_DEPTH)
-    return {side: np.clip(np.minimum(own, known[:, SIDES.index(side)]), 0, 1) for side, own in visible.items()}
+    sure = {}
+    for side, i in _wrist_columns(pose).items():
+        seen = (pose.score[:, i] - _JUST_USABLE) / (1 - _JUST_USABLE)
+        sure[side] = np.clip(np.minimum(seen, known[:, SIDES.index(side)]), 0, 1)
+    return sure
 
 
 def doubtful(colour: Colour, sure: float) -> Colour:

@@ -19,7 +19,7 @@ BOTTOM = 22
 """Margin below them [px]."""
 
 
-def round_ticks(low: float, high: float, count: int = 4) -> list[float]:
+def round_ticks(low: float, high: float, count: int) -> list[float]:
     """Return about ``count`` round numbers from low to high, at least two: steps of 1, 2 or 5 times a power of ten."""
     span = high - low
     if not span > 0 or not math.isfinite(span):
@@ -78,22 +78,21 @@ class Plot:
         x: tuple[float, float],
         y: tuple[float, float],
         size: tuple[int, int] = (900, 120),
-        title: str = "",
-        x_label: str = "",
-        y_label: str = "",
+        title: str,
+        x_label: str,
+        y_label: str,
         log: tuple[bool, bool] = (False, False),
-        marks: tuple[bool, bool] = (True, True),
     ) -> None:
         self.width, self.height = size
         self.log = log
-        self._marks = marks
         self._x = self._range(x, log[0])
         self._y = self._range(y, log[1])
         self._bottom = BOTTOM + (12 if x_label else 0)
         self._parts: list[str] = []
-        self._over = [self._text(LEFT, 12, title, "title")] if title else []
-        if y_label:
-            self._over.append(self._text(self.width - RIGHT, 12, y_label, "unit end"))
+        self._over = [
+            self._text(LEFT, 12, title, "title"),
+            self._text(self.width - RIGHT, 12, y_label, "unit end"),
+        ]
         if x_label:
             self._over.append(self._text((LEFT + self.width - RIGHT) / 2, self.height - 4, x_label, "unit middle"))
         self._axes()
@@ -122,13 +121,8 @@ class Plot:
         base = self.height - self._bottom
         marks = ["<g class='grid'>"]
         for axis, (limits, log) in enumerate(((self._x, self.log[0]), (self._y, self.log[1]))):
-            room = (
-                (self.width - LEFT - RIGHT) / (60 if log else 90)
-                if axis == 0
-                else (self.height - TOP - self._bottom) / 28
-            )
-            if not self._marks[axis]:
-                continue
+            across = (self.width - LEFT - RIGHT) / (60 if log else 90)
+            room = across if axis == 0 else (self.height - TOP - self._bottom) / 28
             ticks = _powers(*limits, count=max(2.0, room)) if log else round_ticks(*limits, count=max(3, round(room)))
             for tick in ticks:
                 value = 10.0**tick if log else tick
@@ -159,21 +153,19 @@ class Plot:
             both = np.concatenate([x[ok], x[ok][::-1]]), np.concatenate([low[ok], high[ok][::-1]])
             self._parts.append(f"<path class='band {kind}' d='{self._path(*both)}Z'/>")
 
-    def level(self, y: float, kind: str, text: str = "") -> None:
+    def level(self, y: float, kind: str) -> None:
         """Draw a horizontal line."""
         _, py = self._at(np.array([1.0]), np.array([y]))
         self._parts.append(f"<path class='line {kind}' d='M{LEFT},{py[0]:.1f}H{self.width - RIGHT}'/>")
-        if text:
-            self._over.append(self._text(self.width - RIGHT - 2, py[0] - 3, text, f"note end {kind}"))
 
     def _path(self, x: FloatArray, y: FloatArray) -> str:
         px, py = self._at(x, y)
         return "M" + " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))
 
-    def svg(self, label: str = "") -> str:
+    def svg(self, label: str) -> str:
         """Return the plot; ``label`` is the text for screen readers."""
         inside = "".join([*self._parts, *self._over])
-        named = f"role='img' aria-label='{escape(label, quote=True)}'" if label else "role='presentation'"
+        named = f"role='img' aria-label='{escape(label, quote=True)}'"
         return f"<svg viewBox='0 0 {self.width} {self.height}' {named}>{inside}</svg>"
 
 

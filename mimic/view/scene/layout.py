@@ -58,6 +58,12 @@ def time_columns(t: FloatArray, frames: FloatArray | None) -> list[rr.TimeColumn
     return [time_column(t), rr.TimeColumn(FRAME, sequence=frame_numbers(t, frames))]
 
 
+def draw_over_time(scene: rr.RecordingStream, entity: str, style: Any, times: Any, columns: Any) -> None:
+    """Add an entity to a scene: what stays the same, and what it has at each time (`time_columns`)."""
+    scene.log(entity, style, static=True)
+    scene.send_columns(entity, indexes=times, columns=columns)
+
+
 def camera_at(
     direction: float, *, distance: float, height: float, target: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import rerun as rr
 
-from mimic.records import PoseTrack
+from mimic.records import FloatArray, PoseTrack
 from mimic.view.film import skeleton
 from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
@@ -23,38 +25,29 @@ def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int
         start: First tick of the robot on the shared clock [s]; the person stands still from then to the first frame.
     """
     t, rows = hold_first_row(pose.t, start)
+    times = layout.time_columns(t, pose.t)
     points = skeleton.standing_points(pose)
     pairs = skeleton.bones(pose.names)
-    for side, colour in skeleton.COLOURS.items():
-        if size is not None:
-            flat = pose.image * size
-            found = skeleton.segments(flat[rows], skeleton.visible(flat, pose.valid)[rows], pairs[side])
-            entity = f"{layout.VIDEO}/skeleton/{side}"
-            scene.log(entity, rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(2.5)), static=True)
-            strips = rr.LineStrips2D.columns(strips=list(found.ends)).partition(found.counts)
-            scene.send_columns(entity, indexes=layout.time_columns(t, pose.t), columns=strips)
-        found = skeleton.segments(points[rows], skeleton.visible(points, pose.valid)[rows], pairs[side])
-        entity = f"{layout.BODY}/{side}"
-        scene.log(entity, rr.LineStrips3D.from_fields(colors=colour, radii=0.022), static=True)
-        strips = rr.LineStrips3D.columns(strips=list(found.ends)).partition(found.counts)
-        scene.send_columns(entity, indexes=layout.time_columns(t, pose.t), columns=strips)
+    drawn: list[tuple[str, FloatArray, Any, Any]] = [(layout.BODY, points, rr.LineStrips3D, 0.022)]
+    if size is not None:
+        flat = pose.image * size
+        drawn.append((f"{layout.VIDEO}/skeleton", flat, rr.LineStrips2D, rr.Radius.ui_points(2.5)))
+    for root, places, kind, radius in drawn:
+        for side, colour in skeleton.COLOURS.items():
+            found = skeleton.segments(places[rows], skeleton.visible(places, pose.valid)[rows], pairs[side])
+            style = kind.from_fields(colors=colour, radii=radius)
+            strips = kind.columns(strips=list(found.ends)).partition(found.counts)
+            layout.draw_over_time(scene, f"{root}/{side}", style, times, strips)
     certain = skeleton.certainty(pose)
     for side, (wrist, known) in skeleton.wrists(pose, points).items():
-        entity = f"{layout.BODY}/{side}/wrist"
-        scene.log(entity, rr.Points3D.from_fields(radii=0.05), static=True)
         shown = rows[known[rows]]
         colours = [skeleton.doubtful(skeleton.COLOURS[side], sure) for sure in certain[side][shown]]
         balls = rr.Points3D.columns(positions=wrist[shown], colors=colours).partition(known[rows].astype(int))
-        scene.send_columns(entity, indexes=layout.time_columns(t, pose.t), columns=balls)
-    middle, known = skeleton.heads(pose, points)
-    middle = middle[rows]
-    known = known[rows]
-    entity = f"{layout.BODY}/head"
+        style = rr.Points3D.from_fields(radii=0.05)
+        layout.draw_over_time(scene, f"{layout.BODY}/{side}/wrist", style, times, balls)
+    middle, known = (values[rows] for values in skeleton.heads(pose, points))
     style = rr.Ellipsoids3D.from_fields(colors=skeleton.CENTRE, fill_mode="Solid")
-    scene.log(entity, style, static=True)
-    heads = rr.Ellipsoids3D.columns(centers=middle[known], half_sizes=np.tile(_HEAD, (known.sum(), 1))).partition(
-        known.astype(int)
-    )
-    scene.send_columns(entity, indexes=layout.time_columns(t, pose.t), columns=heads)
+    heads = rr.Ellipsoids3D.columns(centers=middle[known], half_sizes=np.tile(_HEAD, (known.sum(), 1)))
+    layout.draw_over_time(scene, f"{layout.BODY}/head", style, times, heads.partition(known.astype(int)))
     if skeleton.feet_seen(pose):
         draw_floor(scene, f"{layout.BODY}/floor", np.zeros((1, 2)), tile=0.5)

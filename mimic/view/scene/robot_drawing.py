@@ -114,26 +114,25 @@ def _toes(
             ("target", target, _TARGET_RADIUS, (*colour, 110), see_through),
             ("actual", actual, 1.05 * description.toe_radius, colour, rr.components.FillMode.Solid),
         ):
-            scene.log(f"{entity}/{name}", rr.Ellipsoids3D.from_fields(colors=colours, fill_mode=fill), static=True)
+            style = rr.Ellipsoids3D.from_fields(colors=colours, fill_mode=fill)
             centers = points[shown, i]
             # Sizes are logged with the centres: a static size would draw a ball at the origin before the first centre.
             balls = rr.Ellipsoids3D.columns(centers=centers, half_sizes=np.full_like(centers, radius))
-            scene.send_columns(f"{entity}/{name}", indexes=t, columns=balls)
+            layout.draw_over_time(scene, f"{entity}/{name}", style, t, balls)
         for name, points, line, radius in (
             ("target_trail", target, soft(colour), 0.002),
             ("actual_trail", actual, colour, 0.004),
         ):
-            scene.log(f"{entity}/{name}", rr.LineStrips3D.from_fields(colors=line, radii=radius), static=True)
-            strips = list(trails(points[shown, i], ticks))
-            scene.send_columns(f"{entity}/{name}", indexes=t, columns=rr.LineStrips3D.columns(strips=strips))
+            style = rr.LineStrips3D.from_fields(colors=line, radii=radius)
+            strips = rr.LineStrips3D.columns(strips=list(trails(points[shown, i], ticks)))
+            layout.draw_over_time(scene, f"{entity}/{name}", style, t, strips)
 
 
 def _unclamped_targets(scene: rr.RecordingStream, targets: TargetTrack, frames: FloatArray | None) -> None:
     """Show the toe targets before clamping, as small white balls in base axes."""
     t = layout.time_columns(targets.t, frames)
     for i, side in enumerate(SIDES):
-        entity = f"{layout.ROBOT}/links/base/unclamped_{side}"
         shown = (targets.moved[:, i] > _CLAMPED) & np.isfinite(targets.wanted[:, i]).all(axis=1)
-        scene.log(entity, rr.Points3D.from_fields(colors=(255, 255, 255), radii=0.012), static=True)
+        style = rr.Points3D.from_fields(colors=(255, 255, 255), radii=0.012)
         points = rr.Points3D.columns(positions=targets.wanted[shown, i]).partition(shown.astype(int))
-        scene.send_columns(entity, indexes=t, columns=points)
+        layout.draw_over_time(scene, f"{layout.ROBOT}/links/base/unclamped_{side}", style, t, points)

@@ -76,9 +76,8 @@ def save_scene(
             draw_robot(scene, log, description, targets, frames)
             for curve in plots.curves(log, description, targets):
                 style = rr.SeriesLines(colors=curve.colour, names=curve.name, widths=curve.width)
-                scene.log(curve.path, style, static=True)
-                times = layout.time_columns(curve.t, frames)
-                scene.send_columns(curve.path, indexes=times, columns=rr.Scalars.columns(scalars=curve.value))
+                values = rr.Scalars.columns(scalars=curve.value)
+                layout.draw_over_time(scene, curve.path, style, layout.time_columns(curve.t, frames), values)
             scene.flush()
             scene.disconnect()
 
@@ -100,12 +99,7 @@ def _recording() -> Iterator[rr.RecordingStream]:
 
 def _video(scene: rr.RecordingStream, clip: Clip, t: FloatArray, start: float) -> None:
     asset = rr.AssetVideo(path=clip.path)
-    scene.log(layout.VIDEO, asset, static=True)
     nanos = asset.read_frame_timestamps_nanos()
-    every = t
-    t, rows = hold_first_row(t[: len(nanos)], start)
-    scene.send_columns(
-        layout.VIDEO,
-        indexes=layout.time_columns(t, every),
-        columns=rr.VideoFrameReference.columns_nanos(np.asarray(nanos)[rows]),
-    )
+    held, rows = hold_first_row(t[: len(nanos)], start)
+    frames = rr.VideoFrameReference.columns_nanos(np.asarray(nanos)[rows])
+    layout.draw_over_time(scene, layout.VIDEO, asset, layout.time_columns(held, t), frames)
