@@ -63,13 +63,8 @@ class ContactRecorder:
         Args:
             begin: When it began to sit down [s].
         """
-        t, trunk, head, velocity, limbs = (np.array(column) for column in zip(*self._rows, strict=True))
-        rows = t > begin
-        t = t[rows]
-        trunk = trunk[rows]
-        head = head[rows]
-        velocity = velocity[rows]
-        limbs = limbs[rows]
+        rows = (row for row in self._rows if row[0] > begin)
+        t, trunk, head, velocity, limbs = (np.array(column) for column in zip(*rows, strict=True))
         speed = np.linalg.norm(velocity, axis=1)
         span = max(1, round(AVERAGING_TIME / float(t[1] - t[0])))
         change = np.linalg.norm(velocity[span:] - velocity[:-span], axis=1)

@@ -47,10 +47,7 @@ class Follower:
         if not valid[_TRUNK].all():
             return 0.0
         flat = image[_TRUNK] * (1.0, 1.0 / aspect)
-        size = float(np.sqrt(((flat - flat.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        points = landmarks[_TRUNK][:, :2]
-        metres = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        away = FOCAL * metres / max(size, 1e-6)
+        away = FOCAL * _size(landmarks[_TRUNK][:, :2]) / max(_size(flat), 1e-6)
         place = np.array([away * (flat[:, 0].mean() - 0.5) / FOCAL, away])
         dt = t - self._t
         if not 0.0 < dt < FORGET:
@@ -64,3 +61,8 @@ class Follower:
         self._t = t
         speed = float(self._v @ (np.sin(heading), -np.cos(heading)))
         return speed if abs(speed) > DEAD else 0.0
+
+
+def _size(points: FloatArray) -> float:
+    """Return the root mean square distance of points (n, 2) from their middle."""
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))

@@ -102,7 +102,7 @@ class ArmTorques:
                 move = move + _carried(arm, spin, twist)
                 place = place + arm
             rate = dq[..., k, None]
-            twist = twist + axis * ddq[..., k, None] + rate * _cross(spin, axis)
+            twist = twist + axis * ddq[..., k, None] + rate * cross(spin, axis)
             spin = spin + rate * axis
             lever = _times(turns[k], self._lever[:, k])
             inertia = turns[k] @ self._inertia[:, k] @ xp.swapaxes(turns[k], -1, -2)
@@ -110,10 +110,10 @@ class ArmTorques:
             places.append(place)
             centres.append(place + lever)
             forces.append(self._mass[:, k, None] * (move + _carried(lever, spin, twist)))
-            moments.append(_times(inertia, twist) + _cross(spin, momentum))
+            moments.append(_times(inertia, twist) + cross(spin, momentum))
         torques = []
         for k, axis in enumerate(axes):
-            moment = sum(moments[i] + _cross(centres[i] - places[k], forces[i]) for i in range(k, LEG))
+            moment = sum(moments[i] + cross(centres[i] - places[k], forces[i]) for i in range(k, LEG))
             torques.append((axis * moment).sum(-1))
         return xp.stack(torques, -1)
 
@@ -144,10 +144,10 @@ def _times(matrix: Any, vector: Any) -> Any:
 
 def _carried(arm: Any, spin: Any, twist: Any) -> Any:
     """Return the acceleration that turning gives to a point at the end of an arm."""
-    return _cross(twist, arm) + _cross(spin, _cross(spin, arm))
+    return cross(twist, arm) + cross(spin, cross(spin, arm))
 
 
-def _cross(a: Any, b: Any) -> Any:
+def cross(a: Any, b: Any) -> Any:
     """Return a x b (..., 3); of a few vectors, NumPy's own takes six times as long."""
     if not isinstance(a, np.ndarray):
         return a.cross(b, dim=-1)

@@ -196,14 +196,8 @@ def _probe(probe: dict[str, Any]) -> ProbeRanges:
 
 def _trunk_numbers(trunk: dict[str, Any]) -> TrunkNumbers:
     left = _array(trunk["stance"])
-    return TrunkNumbers(
-        stance=np.concatenate([left, left * [-1.0, 1.0, 1.0]]),
-        lean=trunk["lean"],
-        height=tuple(trunk["height"]),
-        pitch=tuple(trunk["pitch"]),
-        height_speed=trunk["height_speed"],
-        pitch_speed=trunk["pitch_speed"],
-    )
+    ranges = {name: tuple(trunk[name]) for name in ("height", "pitch")}
+    return TrunkNumbers(**trunk | ranges | {"stance": np.concatenate([left, left * [-1.0, 1.0, 1.0]])})
 
 
 def _thermal(motor: dict[str, Any]) -> ThermalNumbers:
@@ -220,13 +214,12 @@ def _thermal(motor: dict[str, Any]) -> ThermalNumbers:
 
 def _names(model: dict[str, Any]) -> ModelNames:
     shapes = model["shapes"]
+    lists = {name: tuple(model[name]) for name in ("legs", "joints", "links")}
     return ModelNames(
         file=model["file"],
         scene=model.get("scene", ""),
         base=model["base"],
-        legs=tuple(model["legs"]),
-        joints=tuple(model["joints"]),
-        links=tuple(model["links"]),
+        **lists,
         toe_site=model.get("toe_site", ""),
         patterns={role: tuple(shapes.get(role, ())) for role in ROLES},
     )
@@ -266,11 +259,7 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
         poses=poses,
         pose_height={pose: values["z"] for pose, values in raw["pose"].items()},
         upright_direction=upright / np.linalg.norm(upright),
-        goals=Goals(
-            share=_array([g["share"] for g in goals]),
-            low=_array([g["low"] for g in goals]),
-            high=_array([g["high"] for g in goals]),
-        ),
+        goals=Goals(**{key: _array([goal[key] for goal in goals]) for key in ("share", "low", "high")}),
         toe_radius=raw["toe"]["radius"],
         workspace=Workspace(
             margin=reach["margin"],

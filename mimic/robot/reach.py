@@ -14,9 +14,10 @@ from itertools import product
 import numpy as np
 import pinocchio as pin
 
-from mimic.records import JOINTS, LEGS, FloatArray
+from mimic.records import JOINTS, FloatArray
+from mimic.robot.arm_torques import cross
 from mimic.robot.description import RobotDescription
-from mimic.robot.leg_kinematics import front_legs
+from mimic.robot.leg_kinematics import front_legs, front_toes
 from mimic.robot.model import TOES
 from mimic.robot.projection import Local, project
 from mimic.robot.rigid_body import rigid_body_model
@@ -61,7 +62,7 @@ class Reach:
         self._joints = [self._model.getJointId(name) for name in JOINTS]
         self._at_q = np.array([self._model.joints[i].idx_q for i in self._joints])
         self._at_v = np.array([self._model.joints[i].idx_v for i in self._joints])
-        self._frames = [self._model.getFrameId(name, pin.FrameType.OP_FRAME) for name in TOES]
+        self._frames = [self._model.getFrameId(name, pin.FrameType.OP_FRAME) for name in TOES[:2]]
         self._data = self._model.createData()
         self._qpos = pin.neutral(self._model)
         self._qpos[self._at_q] = self.description.poses["upright"]
@@ -82,16 +83,7 @@ class Reach:
 
     def toes(self, q: FloatArray) -> FloatArray:
         """Return base -> front toes, left and right, (..., 2, 3) [m] for joints (..., 12) or front joints (..., 6)."""
-        return self.all_toes(q)[..., :2, :]
-
-    def all_toes(self, q: FloatArray) -> FloatArray:
-        """Return base -> toe of each leg (..., 4, 3), base axes [m], for joints (..., 12) or (..., 6) [rad]."""
-        q = np.asarray(q, dtype=np.float64)
-        p = np.empty((*q.shape[:-1], len(LEGS), 3))
-        for row in np.ndindex(q.shape[:-1]):
-            pin.framesForwardKinematics(self._model, self._data, self._full(q[row]))
-            p[row] = [self._data.oMf[frame].translation for frame in self._frames]
-        return p
+        return front_toes(np.asarray(q, dtype=np.float64), self.description)
 
     def gap(self, q: FloatArray) -> float:
         """Return the least gap between a front leg and what it must not touch, for front joints (6,) [m]."""
@@ -236,8 +228,8 @@ class Reach:
         pin.computeDistances(self._geometry, self._space)
         axes = self._data.J[3:, self._at_v[:FRONT]].T
         origins = np.array([self._data.oMi[i].translation for i in self._joints[:FRONT]])
-        p = np.array([self._data.oMf[frame].translation for frame in self._frames[:2]])
-        columns = _cross(axes, np.repeat(p, 3, axis=0) - origins)
+        p = np.array([self._data.oMf[frame].translation for frame in self._frames])
+        columns = cross(axes, np.repeat(p, 3, axis=0) - origins)
         jacobian = np.zeros((6, FRONT))
         jacobian[:3, :3] = columns[:3].T
         jacobian[3:, 3:] = columns[3:].T
@@ -246,7 +238,7 @@ class Reach:
             total = np.zeros((FRONT, FRONT))
             for leg in (slice(0, 3), slice(3, 6)):
                 # d2p / dq_i dq_j = axis_i x (dp / dq_j) for i at or above j; = (w x axis_i) . column_j under weights w
-                upper = np.triu(_cross(np.broadcast_to(weights[leg], (3, 3)), axes[leg]) @ columns[leg].T)
+                upper = np.triu(cross(np.broadcast_to(weights[leg], (3, 3)), axes[leg]) @ columns[leg].T)
                 total[leg, leg] = upper + np.triu(upper, 1).T
             return total
 
@@ -262,7 +254,7 @@ class Reach:
                 if joint in self._joints[:FRONT]:
                     last = self._joints.index(joint)
                     chain = slice(last - last % 3, last + 1)
-                    row[chain] += sign * (_cross(axes[chain], point - origins[chain]) @ result.normal)
+                    row[chain] += sign * (cross(axes[chain], point - origins[chain]) @ result.normal)
             gaps.append(result.min_distance - self.clearance)
             rows.append(row)
         return Local(p.ravel(), jacobian, curvature, np.array(gaps), np.array(rows).reshape(-1, FRONT))
@@ -278,8 +270,3 @@ def _nearer(postures: FloatArray, near: FloatArray) -> FloatArray:
             one = other
         q[part] = one
     return q
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a x b row by row (n, 3); np.cross costs more than the rest of a step."""
-    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]

@@ -67,19 +67,20 @@ def _shapes(compiled: mujoco.MjModel, at: dict[int, int], description: RobotDesc
 
 
 def _shape(geom: Any, name: str) -> Any:
-    kind = int(geom.type[0])
-    (x, y, z) = (float(v) for v in geom.size)
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return coal.Box(2 * x, 2 * y, 2 * z)
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return coal.Sphere(x)
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return coal.Capsule(x, 2 * y)
-    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return coal.Cylinder(x, 2 * y)
-    raise AssetError(
-        f"shape {name!r} is neither a box, a ball, a capsule nor a cylinder; give the robot simpler shapes"
-    )
+    x, y, z = (float(v) for v in geom.size)
+    shapes = {
+        mujoco.mjtGeom.mjGEOM_BOX: (coal.Box, (2 * x, 2 * y, 2 * z)),
+        mujoco.mjtGeom.mjGEOM_SPHERE: (coal.Sphere, (x,)),
+        mujoco.mjtGeom.mjGEOM_CAPSULE: (coal.Capsule, (x, 2 * y)),
+        mujoco.mjtGeom.mjGEOM_CYLINDER: (coal.Cylinder, (x, 2 * y)),
+    }
+    kind = mujoco.mjtGeom(int(geom.type[0]))
+    if kind not in shapes:
+        raise AssetError(
+            f"shape {name!r} is neither a box, a ball, a capsule nor a cylinder; give the robot simpler shapes"
+        )
+    shape, sizes = shapes[kind]
+    return shape(*sizes)
 
 
 def _carrier(compiled: mujoco.MjModel, at: dict[int, int], body: int) -> tuple[int, pin.SE3]:

@@ -9,6 +9,7 @@ from hypothesis.extra.numpy import arrays
 
 from mimic.records import LEGS
 from mimic.robot.description import load_description
+from mimic.robot.leg_kinematics import all_toes
 from mimic.robot.reach import FRONT, Reach
 
 REACH = Reach(load_description("cyberdog2"))
@@ -26,7 +27,7 @@ def test_toes_agree_with_mujoco():
     model = mujoco.MjModel.from_xml_path(str(DESCRIPTION.mjcf))
     data = mujoco.MjData(model)
     q = np.random.default_rng(0).uniform(DESCRIPTION.q_min, DESCRIPTION.q_max, (1000, 12))
-    toes = REACH.all_toes(q)
+    toes = all_toes(q, DESCRIPTION)
     for row in range(len(q)):
         data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
         data.qpos[7:] = q[row]
