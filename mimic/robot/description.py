@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -259,7 +260,7 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
         poses=poses,
         pose_height={pose: values["z"] for pose, values in raw["pose"].items()},
         upright_direction=upright / np.linalg.norm(upright),
-        goals=Goals(**{key: _array([goal[key] for goal in goals]) for key in ("share", "low", "high")}),
+        goals=Goals(**{key: _array([*map(itemgetter(key), goals)]) for key in ("share", "low", "high")}),
         toe_radius=raw["toe"]["radius"],
         workspace=Workspace(
             margin=reach["margin"],
