@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mimic.errors import MimicError
 from mimic.records import FloatArray
@@ -119,9 +120,7 @@ class Offscreen(AbstractContextManager["Offscreen"]):
         data = self.data
         camera = self._camera
         data.qpos[:] = qpos
-        angle = azimuth - np.pi
-        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
-        model.light_dir[:] = self._light_dirs @ turn.T
+        model.light_dir[:] = Rotation.from_euler("z", azimuth - np.pi).apply(self._light_dirs)
         model.light_pos[:] = [lookat[0], lookat[1], 0.3] - _LIGHT_DISTANCE * model.light_dir
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
