@@ -131,10 +131,9 @@ class Disturber:
         return self._disturbance.lost_share > 0 and bool(self._rng.uniform() < self._disturbance.lost_share)
 
     def pull(self, data: mujoco.MjData) -> None:
-        """Drag the toe during one physics step, or let go of it."""
+        """Drag the toe during one physics step; forces add up."""
         if not self._disturbance.drag:
             return
-        data.qfrc_applied[:] = 0.0
         d = self._disturbance
         since = data.time - self._disturbance.drag_from
         if 0.0 <= since < d.drag_seconds:
@@ -214,11 +213,13 @@ class DisturbedPlant(SimulatedPlant):
     def _place(self, qpos: FloatArray) -> None:
         self.disturber.place(qpos)
 
-    def _sensed(self, state: RobotState) -> RobotState:
-        return self.disturber.sensed(state)
+    def _state(self) -> RobotState:
+        return self.disturber.sensed(super()._state())
 
-    def _pull(self, data: mujoco.MjData) -> None:
-        self.disturber.pull(data)
+    def _drive(self, substep: int) -> None:
+        self.data.qfrc_applied[:] = 0.0
+        super()._drive(substep)
+        self.disturber.pull(self.data)
 
     def _push_angle(self) -> float:
         return self.disturber.push_angle(super()._push_angle(), float(heading_from_quat(self.data.qpos[3:7])))

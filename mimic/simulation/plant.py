@@ -172,7 +172,7 @@ class SimulatedPlant:
     def _state(self) -> RobotState:
         data = self.data
         q, tau = self._joints()
-        state = RobotState(
+        return RobotState(
             t=data.time,
             q=q,
             dq=data.qvel[6:].copy(),
@@ -182,7 +182,6 @@ class SimulatedPlant:
             p_WB=data.qpos[:3].copy(),
             v_WB=data.qvel[:3].copy(),
         )
-        return self._sensed(state)
 
     def _joints(self) -> tuple[FloatArray, FloatArray]:
         """Return positions as the encoders read them, and torques as the motors give them (12,)."""
@@ -191,18 +190,14 @@ class SimulatedPlant:
         return self.data.qpos[7:].copy(), self.data.actuator_force.copy()
 
     def _drive(self, substep: int) -> None:
-        """Set motors and pull for the next physics step."""
+        """Set the motors for the next physics step."""
         data = self.data
         if self._motors is not None:
-            applied = self._motors.drive(substep, data)
-            data.qfrc_applied[:] = 0.0
-            self._pull(data)
-            data.qfrc_applied[6:] += applied
+            data.qfrc_applied[6:] = self._motors.drive(substep, data)
             return
         delay = self.variation.delay_steps
         decimation = self._description.decimation
         data.ctrl[:] = command_in_effect(substep, decimation, delay, self._commands, np.where, interpolate=self._ramps)
-        self._pull(data)
 
     def _set_gains(self, command: JointCommand) -> None:
         if not (np.array_equal(command.kp, self._gains_kp) and np.array_equal(command.kd, self._gains_kd)):
@@ -272,13 +267,6 @@ class SimulatedPlant:
 
     def _place(self, qpos: FloatArray) -> None:
         """Put a robot that lies on level ground onto another one; changes qpos in place."""
-
-    def _sensed(self, state: RobotState) -> RobotState:
-        """Return the state as the robot's sensors show it."""
-        return state
-
-    def _pull(self, data: mujoco.MjData) -> None:
-        """Set the generalised forces of the next physics step."""
 
     def _push_angle(self) -> float:
         """Draw the world direction of a push [rad]."""
