@@ -17,11 +17,11 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
-from mimic.config.text_file import from_toml, read_text
+from mimic.config.values import expected, fitted, read_toml
 from mimic.dynamics.catalogue import effect as find_effect
 from mimic.errors import ConfigError
 from mimic.io.store import written_whole
@@ -49,8 +49,6 @@ class EffectValues:
 
     def __post_init__(self) -> None:
         spec = find_effect(self.name)
-        if self.role not in get_args(Role):
-            raise ConfigError(f"effect {self.name!r} has role {self.role!r}; a role is off, fixed or fitted")
         if spec.scope == "machine" and self.joints:
             raise ConfigError(f"effect {self.name!r} belongs to the whole machine; leave out its joints")
         if spec.scope == "joint" and not self.joints:
@@ -118,47 +116,35 @@ def read_effects(path: Path) -> EffectSet:
     Raises:
         ConfigError: If it is no such file, or a value does not fit the catalogue.
     """
-    try:
-        raw = from_toml(read_text(path))
-    except OSError as reason:
-        raise ConfigError(f"{path} cannot be read: {reason.strerror or reason}") from None
-    except ValueError as reason:
-        raise ConfigError(f"{path} is not TOML: {reason}") from None
+    raw = read_toml(path)
     rows = raw.get("effect")
     if not isinstance(rows, list) or set(raw) != {"effect"}:
         raise ConfigError(f"{path} is not an effects file; it holds [[effect]] tables, each with a name")
     return EffectSet(tuple(_effect(path, row) for row in rows))
 
 
-def _joints(names: Any) -> tuple[str, ...]:
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise TypeError(f'joints is {names!r}; it is a list of names, such as ["FL_knee"]')
-    return tuple(names)
+FIELDS = {"joints": tuple[str, ...], "role": Role, "source": str}
+"""What an effect of a file has besides its name, numbers and intervals."""
+
+NUMBERS = float | tuple[float, ...]
 
 
-def _numbers_of(name: str, value: Any) -> FloatArray:
-    for number in value if isinstance(value, list) else [value]:
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            raise TypeError(f"{name} is {value!r}; it is a number, or a list of one for each joint")
-    return np.asarray(value, dtype=np.float64)
+def _fitted(name: str, value: Any, hint: Any) -> Any:
+    try:
+        return fitted(value, hint)
+    except TypeError:
+        raise ConfigError(f"{name} is {value!r}; expected {expected(hint)}") from None
 
 
 def _effect(path: Path, row: Any) -> EffectValues:
     if not isinstance(row, dict) or "name" not in row:
         raise ConfigError(f"{path}: an [[effect]] has no name")
-    known = {"name", "joints", "role", "source", "interval"}
+    known = {"name", "interval", *FIELDS}
     try:
-        return EffectValues(
-            name=row["name"],
-            joints=_joints(row.get("joints", [])),
-            role=row.get("role", "fixed"),
-            source=row.get("source", ""),
-            values={k: _numbers_of(k, v) for k, v in row.items() if k not in known},
-            intervals=row.get("interval", {}),
-        )
-    except ConfigError as reason:
-        raise ConfigError(f"{path}: {reason}") from None
-    except (TypeError, ValueError) as reason:
+        given = {key: _fitted(key, row[key], hint) for key, hint in FIELDS.items() if key in row}
+        values = {key: _fitted(key, value, NUMBERS) for key, value in row.items() if key not in known}
+        return EffectValues(name=row["name"], values=values, intervals=row.get("interval", {}), **given)
+    except (ConfigError, TypeError, ValueError) as reason:
         raise ConfigError(f"{path}: effect {row['name']!r}: {reason}") from None
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from typing import Protocol
 
 import numpy as np
 
-from mimic.policy.contract import ObservationBuilder, PolicyContract, joint_command
+from mimic.policy.contract import ObservationBuilder, joint_command
+from mimic.policy.runtime import Policy
 from mimic.records import FloatArray
 
 REFERENCE_KEY = "mimic_reference"
@@ -17,20 +17,7 @@ STEPS = 50
 """Control steps of a reference."""
 
 
-class Acts(Protocol):
-    """Whatever answers observations."""
-
-    @property
-    def contract(self) -> PolicyContract:
-        """What it promises."""
-        ...
-
-    def act(self, observation: FloatArray) -> FloatArray:
-        """Return the action (12,) for an observation (observation_size,)."""
-        ...
-
-
-def reference(policy: Acts) -> str:
+def reference(policy: Policy) -> str:
     """Return STEPS control steps of a policy as JSON: made-up inputs, and what it answers.
 
     ``inputs`` has a row per step: q [rad], quat (wxyz), velocity [m/s], heading (desired, [rad]), toes [m], and

@@ -71,7 +71,6 @@ def test_joints_without_an_effect_keep_the_numbers_of_the_model():
         ({"values": {"level": [1.0, 2.0, 3.0]}}, "has 3 values for 2 joints"),
         ({"joints": ()}, "belongs to joints; name them"),
         ({"joints": ("FL_knee", "FL_knee")}, "has a joint twice"),
-        ({"role": "frozen"}, "a role is off, fixed or fitted"),
         ({"intervals": {"level": [[0.1, 0.2]]}}, r"shape \(1, 2\), expected \(2, 2\)"),
         ({"name": "delay", "values": {"time": 0.01}}, "belongs to the whole machine"),
     ],
@@ -89,14 +88,15 @@ def test_an_effect_twice_is_refused():
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("level =", "is not TOML"),
+        ("level =", "is not a TOML file"),
         ("[effect]\nname = 'delay'", "is not an effects file"),
         ("", "is not an effects file"),
         ("[[effect]]\nlevel = 1", "has no name"),
         ("[[effect]]\nname = 'delay'\ntime = 'late'", "effect 'delay'"),
-        ("[[effect]]\nname = 'delay'\ntime = true", "time is True; it is a number"),
-        ("[[effect]]\nname = 'coulomb'\njoints = 'FL_knee'\nlevel = 0.1", "joints is 'FL_knee'; it is a list"),
-        ("[[effect]]\nname = 'delay'\ntime = 3.0", "effects.toml: delay.time is 3 s"),
+        ("[[effect]]\nname = 'delay'\ntime = true", "time is True; expected a number"),
+        ("[[effect]]\nname = 'coulomb'\njoints = 'FL_knee'\nlevel = 0.1", "joints is 'FL_knee'; expected a list"),
+        ("[[effect]]\nname = 'delay'\nrole = 'frozen'", 'role is \'frozen\'; expected "off" or "fixed" or "fitted"'),
+        ("[[effect]]\nname = 'delay'\ntime = 3.0", "effects.toml: effect 'delay': delay.time is 3 s"),
     ],
 )
 def test_a_file_that_is_no_set_of_effects_is_reported(tmp_path: Path, text, told):
