@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from mimic.config.text_file import read_text
+from mimic.config.values import expected, fitted
 from mimic.errors import SourceError
 from mimic.io.store import written_whole
 from mimic.records import FloatArray
@@ -38,9 +39,11 @@ MOST_SHOWN = 8
 """Errors that are told."""
 MOST_ITEMS = 20_000
 """Most items of a file."""
-FIELDS = {"duration": 0, "velocity": 2, "heading_deg": 0, "left_deg": 3, "right_deg": 3}
-"""Required fields of a key frame, with the length of each list; 0 is a single number."""
-TRUNK = {"height": 0, "lean_deg": 0}
+_PAIR = tuple[float, float]
+_LEG = tuple[float, float, float]
+FIELDS = {"duration": float, "velocity": _PAIR, "heading_deg": float, "left_deg": _LEG, "right_deg": _LEG}
+"""Required fields of a key frame."""
+TRUNK = {"height": float, "lean_deg": float}
 """Fields that may be left out: the robot then stands as it does by itself."""
 
 
@@ -99,38 +102,33 @@ def frames_from(data: Any) -> tuple[tuple[KeyFrame, ...], list[str]]:
         if not row_errors:
             frames.append(
                 KeyFrame(
-                    duration=values["duration"][0],
-                    velocity=(values["velocity"][0], values["velocity"][1]),
-                    heading=math.radians(values["heading_deg"][0]),
+                    duration=values["duration"],
+                    velocity=values["velocity"],
+                    heading=math.radians(values["heading_deg"]),
                     q=np.radians([*values["left_deg"], *values["right_deg"]]),
-                    trunk=(values["height"][0], math.radians(values["lean_deg"][0])),
+                    trunk=(values["height"], math.radians(values["lean_deg"])),
                     what=" ".join(str(row.get("what", "")).split())[:200],
                 )
             )
     return (tuple(frames), []) if not errors else ((), errors)
 
 
-def _numbers(row: Any, where: str) -> tuple[dict[str, list[float]], list[str]]:
+def _numbers(row: Any, where: str) -> tuple[dict[str, Any], list[str]]:
     if not isinstance(row, Mapping):
         return {}, [f"{where} is {_short(row)}; expected a mapping with {', '.join(FIELDS)}"]
     errors = [f"{where} has {_short(name)}, which is unknown" for name in row if name not in (*FIELDS, *TRUNK, "what")]
-    values = {}
-    for name, count in (FIELDS | TRUNK).items():
-        if name not in row and name in TRUNK:
-            values[name] = [0.0]
-            continue
+    errors += [f"{where} lacks {name}" for name in FIELDS if name not in row]
+    values: dict[str, Any] = dict.fromkeys(TRUNK, 0.0)
+    for name, hint in (FIELDS | TRUNK).items():
         if name not in row:
-            errors.append(f"{where} lacks {name}")
             continue
-        given = row[name] if count else [row[name]]
-        good = isinstance(given, list) and len(given) == max(count, 1)
-        if not good or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in given):
-            expected = f"{count} numbers in a list" if count else "a number"
-            errors.append(f"{where}: {name} is {_short(row[name])}; expected {expected}")
-        elif not all(abs(v) < 1e9 for v in given):  # NaN fails too
+        try:
+            values[name] = fitted(row[name], hint)
+        except TypeError:
+            errors.append(f"{where}: {name} is {_short(row[name])}; expected {expected(hint)}")
+            continue
+        if not (np.abs(values[name]) < 1e9).all():  # NaN fails too
             errors.append(f"{where}: {name} is {_short(row[name])}; expected finite numbers")
-        else:
-            values[name] = [float(v) for v in given]
     return values, errors
 
 

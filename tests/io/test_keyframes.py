@@ -41,9 +41,9 @@ def test_plain_data_becomes_key_frames_in_radians():
         ({"duration": True}, "expected a number"),
         ({"duration": float("nan")}, "expected finite numbers"),
         ({"duration": float("inf")}, "expected finite numbers"),
-        ({"velocity": 0.2}, "velocity is 0.2; expected 2 numbers in a list"),
-        ({"left_deg": [0, 45]}, "expected 3 numbers in a list"),
-        ({"left_deg": [0, 45, [1]]}, "expected 3 numbers in a list"),
+        ({"velocity": 0.2}, "velocity is 0.2; expected a list of 2, each a number"),
+        ({"left_deg": [0, 45]}, "expected a list of 3, each a number"),
+        ({"left_deg": [0, 45, [1]]}, "expected a list of 3, each a number"),
         ({"speed": 3}, "'speed', which is unknown"),
     ],
 )

@@ -162,7 +162,7 @@ FAULTS = {
     "words for numbers": ({"duration": "half a second"}, "expected a number"),
     "NaN": ({"duration": float("nan")}, "expected finite numbers"),
     "a spin": ({"heading_deg": 720}, "the robot turns by at most 34 deg/s"),
-    "a missing joint": ({"right_deg": [0, 45]}, "expected 3 numbers in a list"),
+    "a missing joint": ({"right_deg": [0, 45]}, "expected a list of 3, each a number"),
 }
 
 
