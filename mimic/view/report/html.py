@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from mimic.view.report.correlations import correlations
 from mimic.view.report.evidence import evidence
 from mimic.view.report.motion import by_phase, other_measures, worst_seconds
 from mimic.view.report.plots import Unit, against_state, over_time, spectra, torque_over_time, unit_for
-from mimic.view.report.sections import key, page, pretty, section, table, tiles
+from mimic.view.report.sections import joint_rows, key, page, pretty, section, table, tiles
 from mimic.view.report.svg import figure, number
 
 
@@ -149,23 +149,19 @@ def _errors(c: Calibration, unit: Unit) -> str:
     shown = (f"{name}<br><small>train / held out</small>" for name, _ in columns)
     headings = ["joint", *shown, "noise floor", "final / noise"]
 
-    def row(pick: Callable[[FloatArray], float]) -> list[str]:
-        cells = [
-            f"{figure(pick(e.train) * unit.factor)} / <b>{figure(pick(e.held_out) * unit.factor)}</b>"
-            for _, e in columns
-        ]
-        ratio = pick(last.held_out) / max(pick(c.noise), 1e-300)
-        explained = f"<span class=good>{figure(ratio)}</span>" if ratio < EXPLAINED else figure(ratio)
-        return [*cells, figure(pick(c.noise) * unit.factor), explained]
+    def cells(joints: slice) -> list[str]:
+        def size(values: FloatArray) -> str:
+            return figure(Errors.total(values[joints]) * unit.factor)
 
-    rows = [("", [escape(joint), *row(lambda v, i=i: float(v[i]))]) for i, joint in enumerate(c.joints)]
-    if len(c.joints) > 1:
-        rows.append(("total", ["all", *row(Errors.total)]))
+        ratio = Errors.total(last.held_out[joints]) / max(Errors.total(c.noise[joints]), 1e-300)
+        explained = f"<span class=good>{figure(ratio)}</span>" if ratio < EXPLAINED else figure(ratio)
+        return [*(f"{size(e.train)} / <b>{size(e.held_out)}</b>" for _, e in columns), size(c.noise), explained]
+
     lead = (
         f"Root mean square of measured − predicted [{unit.name}], to the end of blocks of 1.5 s. Held out: each block"
         " is predicted by a fit without it and every sixth block beside."
     )
-    return section("Errors", lead, table(headings, rows), other_measures(c))
+    return section("Errors", lead, table(headings, joint_rows(c.joints, cells)), other_measures(c))
 
 
 def _logs(c: Calibration, unit: Unit) -> str:

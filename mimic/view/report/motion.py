@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from html import escape
-
 import numpy as np
 
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.result import Calibration, Traces
 from mimic.view.report.plots import Unit
-from mimic.view.report.sections import key, section, table
+from mimic.view.report.sections import joint_rows, key, section, table
 from mimic.view.report.svg import Plot, figure
 
 WINDOW = 1.0
@@ -114,26 +112,24 @@ def by_phase(c: Calibration, unit: Unit) -> str:
     traces = c.traces
     if len(traces.t) < 3:
         return ""
-    rows = []
     squares = []
     counts = []
     names: tuple[str, ...] = ()
-    for j, joint in enumerate(c.joints):
+    for j in range(len(c.joints)):
         parts = phases(traces, j)
         names = tuple(parts)
         both = np.stack([traces.before, traces.after])
-        sums = np.stack([np.nansum(both[:, where, j] ** 2, axis=1) for where in parts.values()], axis=1)
-        number = np.array([np.isfinite(traces.after[where, j]).sum() for where in parts.values()])
-        squares.append(sums)
-        counts.append(number)
-        rows.append(("", [escape(joint), *_cells(sums, number, unit)]))
-    if len(c.joints) > 1:
-        rows.append(("total", ["all", *_cells(np.sum(squares, 0), np.sum(counts, 0), unit)]))
+        squares.append(np.stack([np.nansum(both[:, where, j] ** 2, axis=1) for where in parts.values()], axis=1))
+        counts.append([np.isfinite(traces.after[where, j]).sum() for where in parts.values()])
+
+    def cells(joints: slice) -> list[str]:
+        return _cells(np.sum(squares[joints], 0), np.sum(counts[joints], 0), unit)
+
     lead = (
         f"Root mean square of measured − predicted [{unit.name}], baseline → final, and the share of the time."
         f" Reversing: {1e3 * TURNING:.0f} ms around a change of direction."
     )
-    return section("Errors by phase of the motion", lead, table(["joint", *names], rows))
+    return section("Errors by phase of the motion", lead, table(["joint", *names], joint_rows(c.joints, cells)))
 
 
 def _cells(squares: FloatArray, counts: FloatArray, unit: Unit) -> list[str]:
@@ -156,7 +152,7 @@ def other_measures(c: Calibration) -> str:
     for stage in ("baseline", "final"):
         headings += [f"{stage}<br><small>{m} [{u}]</small>" for m in ("RMS", "MAE") for u, _ in units]
 
-    def cells(columns: slice | int) -> list[str]:
+    def cells(columns: slice) -> list[str]:
         found = []
         for residual in (traces.before, traces.after):
             part = residual[:, columns]
@@ -165,7 +161,4 @@ def other_measures(c: Calibration) -> str:
         return found
 
     with np.errstate(invalid="ignore"):
-        rows = [("", [escape(joint), *cells(slice(j, j + 1))]) for j, joint in enumerate(c.joints)]
-        if len(c.joints) > 1:
-            rows.append(("total", ["all", *cells(slice(None))]))
-    return table(headings, rows)
+        return table(headings, joint_rows(c.joints, cells))
