@@ -19,7 +19,7 @@ from mimic.view.film import footage, skeleton
 from mimic.view.film.footage import Progress
 from mimic.view.film.offscreen import Offscreen
 from mimic.view.film.skeleton import soft
-from mimic.view.scene.robot_shapes import in_world, qpos_at_ticks
+from mimic.view.scene.robot_shapes import CLAMPED, TARGET_RADIUS, in_world, qpos_at_ticks
 from mimic.view.scene.timing import (
     PHASE_TITLES,
     TIME_TOLERANCE,
@@ -37,10 +37,6 @@ _LOOK_HEIGHT = 0.9423
 """Height that it looks at [upright heights]."""
 _DOWN = np.radians(10.0)
 """Angle of the camera, downward [rad]."""
-_TARGET_RADIUS = 0.03
-"""Radius of the ball at the target of a toe [m]."""
-_CLAMP_SHOWN = 0.005
-"""The unclamped target is drawn if clamping moved it by more than this [m]."""
 
 
 METRES_PER_NEWTON = 0.08
@@ -92,7 +88,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
     def _unclamped_targets(self, targets: TargetTrack) -> FloatArray:
         """Return the targets before clamping, world axes (ticks, 2, 3) [m]; NaN where clamping changed nothing."""
         rows = nearest(targets.t, shared_time(self._log))
-        unclamped = np.where(targets.moved[rows, :, None] > _CLAMP_SHOWN, targets.wanted[rows], np.nan)
+        unclamped = np.where(targets.moved[rows, :, None] > CLAMPED, targets.wanted[rows], np.nan)
         return in_world(self._qpos, unclamped)
 
     def picture(self, tick: int) -> np.ndarray:
@@ -105,7 +101,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
             red, green, blue = (c / 255 for c in skeleton.COLOURS[side])
             screen.add_ball(self._actual[tick, i], 1.06 * self._radius, (red, green, blue, 1.0))
             if tracking and np.isfinite(self._target[tick, i]).all():
-                screen.add_ball(self._target[tick, i], _TARGET_RADIUS, (red, green, blue, 0.45))
+                screen.add_ball(self._target[tick, i], TARGET_RADIUS, (red, green, blue, 0.45))
             if tracking and self._unclamped is not None and np.isfinite(self._unclamped[tick, i]).all():
                 screen.add_ball(self._unclamped[tick, i], 0.012, (1.0, 1.0, 1.0, 0.8))
         if self._pull is not None:

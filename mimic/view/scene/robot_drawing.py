@@ -15,17 +15,21 @@ from mimic.view.film import skeleton
 from mimic.view.film.skeleton import soft
 from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
-from mimic.view.scene.robot_shapes import Shapes, body_poses, in_world, qpos_at_ticks, visual_shapes
+from mimic.view.scene.robot_shapes import (
+    CLAMPED,
+    TARGET_RADIUS,
+    Shapes,
+    body_poses,
+    in_world,
+    qpos_at_ticks,
+    visual_shapes,
+)
 from mimic.view.scene.timing import PHASE_TITLES, camera_path, shared_time
 
 _TRAIL = 0.7
 """Duration of the trail behind a toe [s]."""
 _TILE = 0.25
 """Side length of a floor tile [m]."""
-_TARGET_RADIUS = 0.03
-"""Radius of a target, a little larger than the toe, so that a toe inside its target is visible [m]."""
-_CLAMPED = 0.005
-"""The unclamped target is drawn if clamping moved it by more than this [m]."""
 
 
 def draw_robot(
@@ -111,7 +115,7 @@ def _toes(
     for i, (side, colour) in enumerate((side, skeleton.COLOURS[side]) for side in SIDES):
         entity = f"{layout.ROBOT}/toes/{side}"
         for name, points, radius, colours, fill in (
-            ("target", target, _TARGET_RADIUS, (*colour, 110), see_through),
+            ("target", target, TARGET_RADIUS, (*colour, 110), see_through),
             ("actual", actual, 1.05 * description.toe_radius, colour, rr.components.FillMode.Solid),
         ):
             style = rr.Ellipsoids3D.from_fields(colors=colours, fill_mode=fill)
@@ -132,7 +136,7 @@ def _unclamped_targets(scene: rr.RecordingStream, targets: TargetTrack, frames: 
     """Show the toe targets before clamping, as small white balls in base axes."""
     t = layout.time_columns(targets.t, frames)
     for i, side in enumerate(SIDES):
-        shown = (targets.moved[:, i] > _CLAMPED) & np.isfinite(targets.wanted[:, i]).all(axis=1)
+        shown = (targets.moved[:, i] > CLAMPED) & np.isfinite(targets.wanted[:, i]).all(axis=1)
         style = rr.Points3D.from_fields(colors=(255, 255, 255), radii=0.012)
         points = rr.Points3D.columns(positions=targets.wanted[shown, i]).partition(shown.astype(int))
         layout.draw_over_time(scene, f"{layout.ROBOT}/links/base/unclamped_{side}", style, t, points)

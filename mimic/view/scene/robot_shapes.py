@@ -16,13 +16,22 @@ from mimic.robot.model import TOES
 VISUAL_GROUP = 2
 """MuJoCo group of the visual geoms."""
 
-_BOX = mujoco.mjtGeom.mjGEOM_BOX
-_CAPSULE = mujoco.mjtGeom.mjGEOM_CAPSULE
-_ELLIPSOID = mujoco.mjtGeom.mjGEOM_ELLIPSOID
-_CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
-_SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE
+TARGET_RADIUS = 0.03
+"""Radius of a target, a little larger than the toe, so that a toe inside its target is visible [m]."""
 
-KINDS = {_BOX: "box", _CAPSULE: "capsule", _ELLIPSOID: "ellipsoid", _CYLINDER: "cylinder", _SPHERE: "ellipsoid"}
+CLAMPED = 0.005
+"""The unclamped target is drawn if clamping moved it by more than this [m]."""
+
+_GEOM = mujoco.mjtGeom
+_SPHERE = _GEOM.mjGEOM_SPHERE
+
+KINDS = {
+    _GEOM.mjGEOM_BOX: "box",
+    _GEOM.mjGEOM_CAPSULE: "capsule",
+    _GEOM.mjGEOM_ELLIPSOID: "ellipsoid",
+    _GEOM.mjGEOM_CYLINDER: "cylinder",
+    _SPHERE: "ellipsoid",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
