@@ -101,8 +101,8 @@ def write_mjcf(source: Path, machine: MachineModel, effects: EffectSet, out: Pat
     p = parameters_of(effects, machine)
     _write_inertias(spec, machine, p)
     if ("base_tilt", "roll") in p:
-        tilt = (float(p["base_tilt", axis][0, 0]) for axis in ("roll", "pitch"))
-        spec.option.gravity = tilted_gravity(*tilt, spec.option.gravity)
+        roll, pitch = (float(p["base_tilt", axis][0, 0]) for axis in ("roll", "pitch"))
+        spec.option.gravity = tilted_gravity(roll, pitch, spec.option.gravity)
     try:
         spec.compile()
         text = spec.to_xml()

@@ -197,7 +197,7 @@ def _probe(probe: dict[str, Any]) -> ProbeRanges:
 
 def _trunk_numbers(trunk: dict[str, Any]) -> TrunkNumbers:
     left = _array(trunk["stance"])
-    ranges = {name: tuple(trunk[name]) for name in ("height", "pitch")}
+    ranges: dict[str, Any] = {name: tuple(trunk[name]) for name in ("height", "pitch")}
     return TrunkNumbers(**trunk | ranges | {"stance": np.concatenate([left, left * [-1.0, 1.0, 1.0]])})
 
 
