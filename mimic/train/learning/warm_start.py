@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -135,39 +135,24 @@ def _first_layer(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean and scale of the observation here (seen,), and the weights of the first layer (out, seen)."""
     first, _ = network.layers[0]
+    there = _places(known)
+    here = _places(contract)
     means = np.zeros(contract.observation_size, network.mean.dtype)
     scales = np.ones(contract.observation_size, network.mean.dtype)
     columns = np.zeros((len(first), contract.observation_size), first.dtype)
-    for at, old, weighs in _continued(known, contract):
-        means[at] = network.mean[old]
-        scales[at] = network.scale[old]
-        if weighs:
-            columns[:, at] = first[:, old]
-    for name, at in _places(contract):
-        if name in dict(known.terms + known.once):
+    for (age, name), at in here.items():
+        oldest = min(age, known.history - 1)  # frames that the policy does not see are normalised as its oldest one
+        if (oldest, name) in there:
+            old = there[oldest, name]
+            means[at] = network.mean[old]
+            scales[at] = network.scale[old]
+            if oldest == age:
+                columns[:, at] = first[:, old]
             continue
         scales[at] = NEW_SPREAD[name]
         if name == "slow_mean":  # it begins at the mean of what it averages
-            means[at] = means[at[0] - contract.columns(name)[0] + contract.columns(*AVERAGED)]
+            means[at] = means[np.concatenate([here[age, averaged] for averaged in AVERAGED])]
     return means, scales, columns
-
-
-def _continued(known: PolicyContract, contract: PolicyContract) -> Iterator[tuple[IntArray, IntArray, bool]]:
-    """Yield columns here, the columns there of the same term, and whether they have its weights.
-
-    Frames that the policy does not see are normalised as its oldest one, and have no weights.
-    """
-    for frame in range(-contract.history, 0):
-        source = max(frame, -known.history)
-        for name, _ in contract.terms:
-            if name in dict(known.terms):
-                at = (contract.history + frame) * contract.frame_size + contract.columns(name)
-                old = (known.history + source) * known.frame_size + known.columns(name)
-                yield at, old, frame == source
-    before = {name: at for name, at in _places(known) if name in dict(known.once)}
-    for name, at in _places(contract):
-        if name in before and name in dict(contract.once):
-            yield at, before[name], True
 
 
 def _of_neutral_toes(network: Network, known: PolicyContract) -> FloatArray:
@@ -190,14 +175,15 @@ def _compare(name: str, there: PolicyContract, here: PolicyContract) -> None:
             )
 
 
-def _places(contract: PolicyContract) -> list[tuple[str, Any]]:
-    """Return the columns of an observation that each term of each frame has, and then each term that comes once."""
-    found = []
-    for frame in range(contract.history):
-        found += [(name, frame * contract.frame_size + contract.columns(name)) for name, _ in contract.terms]
+def _places(contract: PolicyContract) -> dict[tuple[int, str], IntArray]:
+    """Return the columns of an observation by the age of a frame, 0 the newest, and term; what comes once has age 0."""
+    found = {}
+    for age in range(contract.history):
+        begin = (contract.history - 1 - age) * contract.frame_size
+        found |= {(age, name): begin + contract.columns(name) for name, _ in contract.terms}
     begin = contract.history * contract.frame_size
     for name, width in contract.once:
-        found.append((name, np.arange(begin, begin + width)))
+        found[0, name] = np.arange(begin, begin + width)
         begin += width
     return found
 
