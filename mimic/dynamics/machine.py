@@ -218,7 +218,8 @@ def _machine(spec: Any, path: Path, **numbers: FloatArray) -> MachineModel:
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ISLAND)
     joints = tuple(model.joint(j).name for j in range(model.njnt))
     body = np.array(model.jnt_bodyid)
-    chain, place = _chains(model, body)
+    chain = model.dof_treeid.astype(np.int64)
+    place = np.array([int(np.sum(chain[:i] == c)) for i, c in enumerate(chain)])
     tip, toward = _ends(model, body)
     limited = model.jnt_limited.astype(bool)
     slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
@@ -226,7 +227,7 @@ def _machine(spec: Any, path: Path, **numbers: FloatArray) -> MachineModel:
         **numbers,
         friction=np.array(model.dof_frictionloss),
         armature=np.array(model.dof_armature),
-        neighbour=_neighbours(chain, place),
+        neighbour=_neighbours(chain),
     )
     return MachineModel(
         model=model,
@@ -251,26 +252,7 @@ def add_motors(spec: Any, joints: Sequence[str]) -> None:
         spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
 
 
-def _chains(model: mujoco.MjModel, body: IntArray) -> tuple[IntArray, IntArray]:
-    """Joints that share no moving link are in different chains."""
-    moving = set(int(b) for b in body)
-
-    def root(b: int) -> int:
-        first = b
-        while b != 0:
-            if b in moving:
-                first = b
-            b = int(model.body_parentid[b])
-        return first
-
-    roots = [root(int(b)) for b in body]
-    order = sorted(set(roots), key=roots.index)
-    chain = np.array([order.index(r) for r in roots])
-    place = np.array([int(np.sum(chain[:i] == c)) for i, c in enumerate(chain)])
-    return chain, place
-
-
-def _neighbours(chain: IntArray, place: IntArray) -> IntArray:
+def _neighbours(chain: IntArray) -> IntArray:
     rows = []
     for i, c in enumerate(chain):
         mates = [j for j in range(len(chain)) if chain[j] == c]

@@ -34,20 +34,12 @@ def leg_joints(p_BE: FloatArray, description: RobotDescription) -> tuple[FloatAr
     q = left.inverse(np.stack([p_BE[..., 0, :], mirrored], -2))
     abad = np.stack([q[..., 0, :, 0], -q[..., 1, :, 0]], -2)
     q = np.stack([abad, q[..., 1], q[..., 2]], -1)
-    worst = np.stack([_excess(q[..., i, :, :], description, 3 * i) for i in range(2)], -2)
-    second = worst[..., 1] < worst[..., 0]
-    best = np.where(second[..., None], q[..., 1, :], q[..., 0, :])
-    return best, np.where(second, worst[..., 1], worst[..., 0])
-
-
-def _excess(q: FloatArray, description: RobotDescription, first: int) -> FloatArray:
-    """Return how far the worst joint of a leg's q (..., 3) is beyond its limits (...); infinite where there is no q."""
-    worst = np.zeros_like(q[..., 0])
-    for k in range(3):
-        low = float(description.q_min[first + k]) + MARGIN
-        high = float(description.q_max[first + k]) - MARGIN
-        worst = np.maximum(worst, np.maximum(low - q[..., k], q[..., k] - high))
-    return np.where(np.isnan(worst), np.inf, worst)
+    low = (description.q_min[:6] + MARGIN).reshape(2, 1, 3)
+    high = (description.q_max[:6] - MARGIN).reshape(2, 1, 3)
+    beyond = np.maximum(low - q, q - high).max(-1)
+    excess = np.where(np.isnan(beyond), np.inf, np.maximum(beyond, 0.0))
+    second = excess[..., 1] < excess[..., 0]
+    return np.where(second[..., None], q[..., 1, :], q[..., 0, :]), excess.min(-1)
 
 
 def clear_of_body(p_BE: FloatArray, q: FloatArray, description: RobotDescription) -> np.ndarray:
