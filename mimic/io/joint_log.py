@@ -78,6 +78,11 @@ class JointLog:
         object.__setattr__(self, "extra", {k: np.array(v, dtype=np.float64) for k, v in self.extra.items()})
 
     @property
+    def channels(self) -> dict[str, Any]:
+        """The channels (T, J) that it has."""
+        return {name: getattr(self, name) for name in CHANNELS if getattr(self, name) is not None}
+
+    @property
     def rate(self) -> float:
         """Readings per second [Hz], gaps left out."""
         steps = np.diff(self.t)
@@ -90,9 +95,9 @@ class JointLog:
 
     def part(self, rows: slice | IntArray | BoolArray) -> JointLog:
         """Return some rows."""
-        cut = {name: getattr(self, name)[rows] for name in ("t", *CHANNELS) if getattr(self, name) is not None}
+        cut = {name: values[rows] for name, values in self.channels.items()}
         extra = {name: column[rows] for name, column in self.extra.items()}
-        return JointLog(joints=self.joints, metadata=self.metadata, extra=extra, **cut)
+        return replace(self, t=self.t[rows], extra=extra, **cut)
 
     def of(self, joints: Sequence[str]) -> JointLog:
         """Return the log of these joints, in this order.
@@ -107,8 +112,8 @@ class JointLog:
                 "name the columns q.<joint> as the joints of the model"
             )
         index = [self.joints.index(j) for j in joints]
-        picked = {n: getattr(self, n)[:, index] for n in CHANNELS if getattr(self, n) is not None}
-        return JointLog(joints=tuple(joints), t=self.t, metadata=self.metadata, extra=self.extra, **picked)
+        picked = {name: values[:, index] for name, values in self.channels.items()}
+        return replace(self, joints=tuple(joints), **picked)
 
 
 def is_joint_log(path: Path) -> bool:
@@ -370,9 +375,7 @@ def _carried(log: JointLog) -> JointLog:
     rows, within = (note.get("rows"), note.get("within")) if isinstance(note, dict) else (None, None)
     if not (isinstance(rows, int) and rows > 0 and isinstance(within, int | float) and within >= 0):
         raise CalibrationError(f'the note {HELD} of the log is {note!r}; expected {{"rows": 12, "within": 0.001}}')
-    carried: dict[str, Any] = {
-        name: np.array(getattr(log, name)) for name in ("q", "dq", "tau") if getattr(log, name) is not None
-    }
+    carried = {name: np.array(values) for name, values in log.channels.items() if name in ("q", "dq", "tau")}
     number = np.arange(len(log.t))
     for j in range(len(log.joints)):
         q = log.q[:, j]
@@ -403,10 +406,8 @@ def write_log(log: JointLog, path: str | Path) -> Path:
     """
     path = Path(path)
     columns: dict[str, FloatArray] = {"t": log.t}
-    for channel in CHANNELS:
-        value = getattr(log, channel)
-        if value is not None:
-            columns |= {f"{channel}.{joint}": value[:, i] for i, joint in enumerate(log.joints)}
+    for channel, values in log.channels.items():
+        columns |= {f"{channel}.{joint}": values[:, i] for i, joint in enumerate(log.joints)}
     columns |= log.extra
     if path.suffix.lower() == ".csv":
         with written_whole(path) as part:

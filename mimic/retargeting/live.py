@@ -62,6 +62,7 @@ class LiveRetarget:
         self._reach = reach
         self._settings = settings
         self._live = live
+        self._turns = live.follow or settings.turns
         self._filters = [OneEuro(live.min_cutoff, live.beta) for _ in SIDES]
         self._arms = np.zeros((2, 3))
         self._last_seen = np.full(2, -np.inf)
@@ -120,8 +121,7 @@ class LiveRetarget:
             line = landmarks[SHOULDERS[0]] - landmarks[SHOULDERS[1]]
             if valid[HIPS].all():
                 line = line + landmarks[HIPS[0]] - landmarks[HIPS[1]]
-            turning = self._live.follow or self._settings.turns
-            tau = 1.0 / (2.0 * np.pi * (TURN_CUTOFF_HZ if turning else HEADING_HZ))
+            tau = 1.0 / (2.0 * np.pi * (TURN_CUTOFF_HZ if self._turns else HEADING_HZ))
             share = 1.0 if self._line is None else min(1.0, (t - self._line_t) / tau)
             self._line = line if self._line is None else self._line + share * (line - self._line)
             self._line_t = t
@@ -132,7 +132,7 @@ class LiveRetarget:
             self._first_heading = heading
         if self._settings.heading is None:
             return heading
-        turned = heading - self._first_heading if self._live.follow or self._settings.turns else 0.0
+        turned = heading - self._first_heading if self._turns else 0.0
         return float(wrap_angle(np.radians(self._settings.heading) + turned))
 
     def _followed(
@@ -141,8 +141,7 @@ class LiveRetarget:
         """Return heading against the start [rad] and velocity (2,) [m/s] of the robot."""
         if self._heading0 is None and self._line is not None:
             self._heading0 = heading
-        turning = self._live.follow or self._settings.turns
-        turn = float(wrap_angle(heading - (self._heading0 or 0.0))) if turning else 0.0
+        turn = float(wrap_angle(heading - (self._heading0 or 0.0))) if self._turns else 0.0
         v = np.zeros(2)
         if self._live.follow:
             most = self._reach.description.commands.velocity[0]
