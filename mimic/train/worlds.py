@@ -143,19 +143,20 @@ class Worlds:
     def _view(self) -> None:
         """Keep tensors of what is read and written in every control step."""
         model = self.mj_model
-        self.qpos = wp.to_torch(self.data.qpos)
-        self.qvel = wp.to_torch(self.data.qvel)
-        self.warmstart = wp.to_torch(self.data.qacc_warmstart)
-        self.actuator_force = wp.to_torch(self.data.actuator_force)
-        self.site_xpos = wp.to_torch(self.data.site_xpos)
-        self.geom_xpos = wp.to_torch(self.data.geom_xpos)
-        self.geom_xmat = wp.to_torch(self.data.geom_xmat)
-        self.xipos = wp.to_torch(self.data.xipos)
-        self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
-        self._cvel = wp.to_torch(self.data.cvel)  # turning and velocity, at the centre of mass
-        self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
-        c = self.data.contact
-        contacts = (self.data.nacon, c.geom, c.worldid, c.efc_address, self.data.efc.force)
+        data = self.data
+        self.qpos = wp.to_torch(data.qpos)
+        self.qvel = wp.to_torch(data.qvel)
+        self.warmstart = wp.to_torch(data.qacc_warmstart)
+        self.actuator_force = wp.to_torch(data.actuator_force)
+        self.site_xpos = wp.to_torch(data.site_xpos)
+        self.geom_xpos = wp.to_torch(data.geom_xpos)
+        self.geom_xmat = wp.to_torch(data.geom_xmat)
+        self.xipos = wp.to_torch(data.xipos)
+        self.com = wp.to_torch(data.subtree_com)[:, model.body(BASE).id]
+        self._cvel = wp.to_torch(data.cvel)  # turning and velocity, at the centre of mass
+        self.xfrc_applied = wp.to_torch(data.xfrc_applied)
+        c = data.contact
+        contacts = (data.nacon, c.geom, c.worldid, c.efc_address, data.efc.force)
         self._contacts = tuple(wp.to_torch(array) for array in contacts)
         gravity = abs(float(model.opt.gravity[2]))
         self.weight = gravity * wp.to_torch(self.model.body_subtreemass)[:, model.body(BASE).id]

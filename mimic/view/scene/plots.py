@@ -23,7 +23,7 @@ TOE_AXES = ("forward", "left", "up")
 """The axes of the person's torso, in the order of torso coordinates."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Curve:
     """One line of a plot."""
 
@@ -61,26 +61,19 @@ def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | No
     target = 100 * wanted @ R_BT
     actual = 100 * log.p_BE @ R_BT
     for i, (side, colour) in enumerate(zip(SIDES, (LEFT, RIGHT), strict=True)):
-        yield Curve(plot=ERROR, name=side, colour=colour, width=2.0, t=t[followed], value=error[followed, i])
+        yield Curve(ERROR, side, colour, 2.0, t[followed], error[followed, i])
         if targets is not None:
             moved = 100 * targets.moved[:, i]
-            yield Curve(plot=ERROR, name=f"{side} clamped by", colour=soft(colour), width=1.0, t=targets.t, value=moved)
+            yield Curve(ERROR, f"{side} clamped by", soft(colour), 1.0, targets.t, moved)
         for axis, title in enumerate(TOE_AXES):
             for name, values, line, width in (
                 ("target", target, soft(colour), 1.2),
                 ("actual", actual, colour, 2.0),
             ):
-                yield Curve(
-                    plot=toe_plot(title),
-                    name=f"{side} {name}",
-                    colour=line,
-                    width=width,
-                    t=t[shown],
-                    value=values[shown, i, axis],
-                )
+                yield Curve(toe_plot(title), f"{side} {name}", line, width, t[shown], values[shown, i, axis])
     for name, leg, colour in (("rear left", "RL", LEFT), ("rear right", "RR", RIGHT)):
-        yield Curve(plot=KNEES, name=name, colour=colour, width=1.2, t=t, value=log.tau[:, JOINTS.index(f"{leg}_knee")])
+        yield Curve(KNEES, name, colour, 1.2, t, log.tau[:, JOINTS.index(f"{leg}_knee")])
     upright = uprightness(log.quat_WB, description)
-    yield Curve(plot=STANDING, name="upright 0 to 1", colour=(240, 160, 50), width=2.0, t=t, value=upright)
+    yield Curve(STANDING, "upright 0 to 1", (240, 160, 50), 2.0, t, upright)
     if np.isfinite(log.p_WB[:, 2]).any():
-        yield Curve(plot=STANDING, name="height m", colour=CENTRE, width=2.0, t=t, value=log.p_WB[:, 2])
+        yield Curve(STANDING, "height m", CENTRE, 2.0, t, log.p_WB[:, 2])
