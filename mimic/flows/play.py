@@ -222,9 +222,9 @@ def play_source(
     with ExitStack() as stack:
         footage = None
         if file is not None and is_video(file):
-            from mimic.view.scene.footage import start_footage
+            from mimic.view.scene.footage import Footage
 
-            footage = stack.enter_context(start_footage(file))
+            footage = stack.enter_context(Footage(file))
         check_playable(run, effects)
         motion = load_source(source, settings, reporter, load_robot(effects.robot_model))
         done = play(motion, settings=run, effects=effects, reporter=reporter)

@@ -35,7 +35,10 @@ class Footage(AbstractContextManager["Footage"]):
     """A video that is being encoded for a scene; the ``with`` block ends the thread and removes the file."""
 
     def __init__(self, video: Path) -> None:
-        """Start decoding and encoding ``video``."""
+        """Start to decode and encode ``video``; returns at once.
+
+        Both run in C++ without Python's global lock, in parallel with other work.
+        """
         import av  # noqa: F401  # imported here, because imports in the thread could run in parallel with others
 
         os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # read when OpenCV is imported
@@ -87,11 +90,3 @@ class Footage(AbstractContextManager["Footage"]):
             self._done += 1
             self._size = rgb.shape[1], rgb.shape[0]
             yield rgb
-
-
-def start_footage(video: Path) -> Footage:
-    """Start to encode a video for `mimic.view.scene.scene.save_scene`; returns at once.
-
-    Decoding and encoding run in C++ without Python's global lock, in parallel with other work.
-    """
-    return Footage(video)

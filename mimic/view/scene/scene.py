@@ -17,7 +17,7 @@ from mimic.robot.description import RobotDescription
 from mimic.view.film.footage import Progress
 from mimic.view.film.skeleton import feet_seen
 from mimic.view.scene import layout, plots
-from mimic.view.scene.footage import Clip, Footage, start_footage
+from mimic.view.scene.footage import Clip, Footage
 from mimic.view.scene.person import draw_person
 from mimic.view.scene.robot_drawing import draw_robot
 from mimic.view.scene.timing import hold_first_row, initial_heading, shared_time
@@ -47,7 +47,7 @@ def save_scene(
         targets: Also shows the targets before clamping.
         pose: Pose track of the person; drawn over the video and in 3-D.
         video: The video that ``pose`` was made from.
-        footage: The same video, if `start_footage` was called for it before; the caller closes it.
+        footage: The same video, if it is being encoded already; the caller closes it.
         made_by: Stored as the recording's property ``provenance``.
         progress: Called during video encoding, the slow part, with the frames done and the total if known.
 
@@ -58,7 +58,7 @@ def save_scene(
     start = float(clock[0])
     with written_whole(path) as part, ExitStack() as stack:
         if footage is None and video is not None:
-            footage = stack.enter_context(start_footage(video))
+            footage = stack.enter_context(Footage(video))
         clip = None if footage is None else footage.clip(progress, None if pose is None else len(pose.t))
         size = clip.size if clip is not None else None if pose is None or 0 in pose.size else pose.size
         seen: layout.PersonView | None = None if pose is None else "whole" if feet_seen(pose) else "upper"

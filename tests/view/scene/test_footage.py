@@ -8,14 +8,14 @@ from mimic.errors import SourceError
 from mimic.records import PoseTrack, RunLog
 from mimic.robot.description import RobotDescription
 from mimic.view.film.footage import read_frames
-from mimic.view.scene.footage import Footage, start_footage
+from mimic.view.scene.footage import Footage
 from mimic.view.scene.scene import save_scene
 
 
 def test_the_clip_has_every_frame_of_the_video(video: Path) -> None:
     import av
 
-    with start_footage(video) as footage:
+    with Footage(video) as footage:
         clip = footage.clip()
         assert clip.size == (96, 64)
         with av.open(str(clip.path)) as container:
@@ -23,7 +23,7 @@ def test_the_clip_has_every_frame_of_the_video(video: Path) -> None:
 
 
 def test_the_file_is_gone_when_the_footage_is_closed(video: Path) -> None:
-    with start_footage(video) as footage:
+    with Footage(video) as footage:
         path = footage.clip().path
     assert not path.exists()
     assert not path.parent.exists()
@@ -31,7 +31,7 @@ def test_the_file_is_gone_when_the_footage_is_closed(video: Path) -> None:
 
 def test_a_video_that_cannot_be_decoded_is_reported_when_the_clip_is_asked_for(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("no video")
-    with start_footage(tmp_path / "text.mp4") as footage, pytest.raises(SourceError, match=r"text\.mp4"):
+    with Footage(tmp_path / "text.mp4") as footage, pytest.raises(SourceError, match=r"text\.mp4"):
         footage.clip()
 
 
@@ -55,7 +55,7 @@ def test_closing_early_ends_the_thread(video: Path, monkeypatch: pytest.MonkeyPa
 def test_a_scene_is_the_same_with_footage_that_was_started_before(
     log: RunLog, pose: PoseTrack, video: Path, description: RobotDescription, tmp_path: Path
 ) -> None:
-    with start_footage(video) as footage:
+    with Footage(video) as footage:
         shown = {"log": log, "description": description, "pose": pose}
         save_scene(tmp_path / "before.rrd", footage=footage, **shown)
         save_scene(tmp_path / "itself.rrd", video=video, **shown)
