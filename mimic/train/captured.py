@@ -19,7 +19,7 @@ from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from mimic.dynamics.cuda_graphs import Replayed
+from mimic.train.cuda_graphs import Replayed
 from mimic.train.learning.mirror import mirrored_actions, mirrored_observations
 
 RATE_RANGE = (1e-5, 1e-2)

@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from mimic.config.training import MdpSettings
-from mimic.dynamics.cuda_graphs import Replayed
 from mimic.dynamics.robot_model import command_in_effect
 from mimic.errors import ConfigError
 from mimic.geometry import heading_sin_cos, upright_cosine, without_pitch, without_pitch_rate
@@ -41,6 +40,7 @@ from mimic.robot.goals import MARGIN
 from mimic.robot.leg_kinematics import front_toes
 from mimic.train import rewards
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
+from mimic.train.cuda_graphs import Replayed
 from mimic.train.disturbances import Disturbances
 from mimic.train.rewards import BEARS
 from mimic.train.schedules import ArmSchedule, MoveSchedule, TrunkSchedule

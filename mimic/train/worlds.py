@@ -25,13 +25,13 @@ from torch import Tensor
 
 from mimic.config.play import Randomisation
 from mimic.config.training import UNDISTURBED, MdpSettings
-from mimic.dynamics.cuda_graphs import Replayed, ReplayedWarp
 from mimic.dynamics.machine import SOLREF_STEPS
 from mimic.dynamics.robot_model import bouncing, carry, draw_variation, load_model, vary_model
 from mimic.dynamics.servo import Servo, read_standing
 from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import BASE, FLOOR, TOES
+from mimic.train.cuda_graphs import Replayed, ReplayedWarp
 from mimic.train.motors import WorldMotors
 from mimic.train.tensors import quat_rotate
 

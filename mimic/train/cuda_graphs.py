@@ -1,4 +1,4 @@
-"""PyTorch and Warp code as captured CUDA graphs. Needs the extra ``train``: only what steps worlds imports it."""
+"""PyTorch and Warp code as captured CUDA graphs."""
 
 from __future__ import annotations
 
