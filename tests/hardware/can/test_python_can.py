@@ -122,6 +122,15 @@ def test_the_clock_goes_on_while_nothing_comes():
     link.close()
 
 
+def test_a_wait_ends_and_says_so_when_there_is_something_else_to_read():
+    link = open_link("virtual:woken")
+    link.wake, write = os.pipe()
+    os.write(write, b".")
+    assert link.receive(PATIENCE) is None
+    assert link.woken
+    link.close()
+
+
 @pytest.mark.slow
 def test_several_buses_are_one_link(served):
     robot = served(buses=2)

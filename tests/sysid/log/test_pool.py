@@ -16,7 +16,7 @@ from mimic.io.joint_log import JointLog
 from mimic.sysid.engine.data import data_of
 from mimic.sysid.engine.likelihood import FOLLOWING
 from mimic.sysid.engine.model import setting_of
-from mimic.sysid.log.pool import pool
+from mimic.sysid.log.pool import missing, pool
 from mimic.sysid.predict import predict, simulate_log
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
@@ -132,3 +132,10 @@ def test_logs_that_contradict_each_other_are_refused_with_both_names(
     other = replace(log, **changed)
     with pytest.raises(CalibrationError, match=message):
         pool([log, other], pendulum, ("a.parquet", "b.csv"))
+
+
+def test_a_row_without_a_torque_is_missing_as_one_without_a_position_is():
+    zeros = np.zeros((4, 1))
+    log = JointLog(joints=("hinge",), t=np.arange(4) / 100, q=zeros, q_des=zeros, tau=zeros)
+    gap = np.array([[0.0], [np.nan], [0.0], [0.0]])
+    assert missing(replace(log, tau=gap, q=np.roll(gap, 1))).tolist() == [False, True, True, False]
