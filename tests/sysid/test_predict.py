@@ -54,6 +54,15 @@ def test_pieces_begin_where_the_machine_was_and_the_whole_where_it_began(pendulu
     assert np.isfinite(predict(log, pendulum, EffectSet(), whole=True)).all()
 
 
+def test_a_slow_filter_on_the_velocity_lets_a_step_ring(pendulum):
+    t = np.arange(0.0, 1.5, 0.01)
+    target = np.where(t > 0.5, 0.4, 0.0)[:, None]
+    lag = having("velocity_lag", time=0.04)
+    logs = [simulate_log(pendulum, t, target, effects, NOISE) for effects in (EffectSet(), lag)]
+    plain, ringing = (np.abs(log.q[60:] - log.q[-1]).max() for log in logs)
+    assert ringing > plain + 0.02
+
+
 @pytest.mark.slow
 def test_jitter_is_predicted_as_late_as_it_is_on_the_average(pendulum):
     jitter = having("delay_jitter", spread=0.01)
