@@ -204,11 +204,13 @@ class Copy:
         # A file without a test that passes is not among the files, and need not be deselected.
         options = [f"--deselect={test}" for test in folder.deselected if test.split("::")[0] in files]
         path.write_text(mutant.of(source), encoding="utf-8")
+        forget_compiled(path.parent)
         try:
             ended = self.pytest(files, ["-x", *options], PATIENCE * folder.seconds + GRACE)
         finally:
             path.write_text(source, encoding="utf-8")
             os.utime(path, ns=(changed, changed))
+            forget_compiled(path.parent)
             if self._files() != self._made:
                 shutil.rmtree(self.root)
                 self._make()
@@ -219,6 +221,12 @@ class Copy:
             return {**row, "result": "survived"}
         last = ended.output.strip().splitlines()[-1:]
         return {**row, "by": (ended.failed or last or [f"status {ended.status}"])[0]}
+
+
+def forget_compiled(folder: Path) -> None:
+    """Remove what numba has compiled of a folder: it looks for changes of a function's file, not of those it calls."""
+    for file in (folder / "__pycache__").glob("*.nb[ci]"):
+        file.unlink()
 
 
 def _prepare() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from lab.mutants import __main__ as mutants
 from lab.mutants.places import drawn, places
-from lab.mutants.runs import Copy, Folder, folder_of, nearest_first
+from lab.mutants.runs import Copy, Folder, folder_of, forget_compiled, nearest_first
 
 CODE = '''"""Text with 1 + 1 and True."""
 
@@ -144,3 +144,12 @@ def test_a_mutant_that_does_not_end_hangs(tmp_path: Path, monkeypatch: pytest.Mo
     assert mutants.main() == 0
     rows = [json.loads(line) for line in out.read_text(encoding="utf-8").splitlines()]
     assert [row["result"] for row in rows if "result" in row] == ["hung"]
+
+
+def test_what_numba_has_compiled_of_a_folder_is_forgotten(tmp_path: Path) -> None:
+    cache = tmp_path / "__pycache__"
+    cache.mkdir()
+    for name in ("low.pyc", "low.f-1.py311.nbi", "low.f-1.py311.1.nbc"):
+        (cache / name).touch()
+    forget_compiled(tmp_path)
+    assert [path.name for path in cache.iterdir()] == ["low.pyc"]
