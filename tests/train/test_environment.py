@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import mujoco
 import numpy as np
@@ -25,6 +26,7 @@ from mimic.train.contract import STAND_UP_STEPS  # noqa: E402
 from mimic.train.rewards import BEARS, MOST_DRIFT, MOST_SHUFFLE  # noqa: E402
 from mimic.train.schedules import SETTLES  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
+from mimic.train.tensors import in_heading_frame  # noqa: E402
 
 FEW = MdpSettings(
     worlds=6,
@@ -48,6 +50,22 @@ def make(description, seed: int = 3, **changes: object) -> StandTrackEnv:
 @pytest.fixture(scope="module")
 def env(description) -> StandTrackEnv:
     return make(description)
+
+
+def test_pushes_from_the_side_come_from_within_thirty_degrees_of_it(env, monkeypatch):
+    monkeypatch.setattr("mimic.train.stand_track.PUSHED_SIDEWAYS", 1.0)
+    lengths, velocities = env.episode_length_buf.clone(), env.worlds.qvel.clone()
+    env.episode_length_buf.fill_(round(env.settings.randomisation.push_interval / env.contract.dt))
+    kicks = []
+    for _ in range(50):
+        env.worlds.qvel.zero_()
+        env._push()
+        kicks.append(in_heading_frame(env.worlds.qvel[:, :2], env._heading))
+    env.episode_length_buf.copy_(lengths)
+    env.worlds.qvel.copy_(velocities)
+    ahead, left = torch.cat(kicks).unbind(-1)
+    assert ahead.abs().le(math.tan(math.pi / 6) * left.abs() + 1e-6).all()
+    assert left.gt(0).float().mean().item() == pytest.approx(0.5, abs=0.15)
 
 
 def actions(step: int, worlds: int = FEW.worlds) -> torch.Tensor:
