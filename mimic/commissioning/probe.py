@@ -1,9 +1,8 @@
 """Probing: moves a suspended robot so that its drives show their properties, and logs it as calibration reads it.
 
-A row is one exchange with the motors: commands go to all joints of moving legs, and in turn to some of the others. The
-commands go out at once, and each motor measures when its own arrives. An answer that misses its row but comes before
-the next commands still belongs to it. A later answer is missing from the log, as is that of a motor that was not
-asked.
+A row is one exchange with the motors. The commands go out at once, and each motor measures when its own arrives. An
+answer that misses its row but comes before the next commands still belongs to it. A later answer is missing from the
+log.
 
 Motors report the torque of an instant. A log's ``tau`` is the mean since the row before, so the reported torque is
 kept in a column of its own, ``tau_now``. Motors round positions down to a word; the log has the middle of what the
@@ -14,11 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from mimic.commissioning.probe_motion import ProbeMotion, turns
 from mimic.config.hardware import ProbeSettings
 from mimic.control.safety.safety_limits import limits_for
 from mimic.control.safety.safety_rules import FAILURE, SUSPENDED_RULES
@@ -29,16 +26,9 @@ from mimic.errors import PlantError
 from mimic.geometry import smoothstep
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.wiring import Wiring
-from mimic.hardware.robot.driver import ALL
 from mimic.hardware.robot.plant import Robot
-from mimic.io.joint_log import HELD, JointLog
-from mimic.records import JOINTS, BoolArray, FloatArray, JointCommand
-
-MAX_GAP_TURNS = 3
-"""A reading of a held joint is carried forward over at most so many turns; the supervisor ends a longer silence."""
-
-HELD_STEPS = 2.0
-"""It is carried forward only if the readings around it differ by at most so many steps of a position."""
+from mimic.io.joint_log import JointLog
+from mimic.records import JOINTS, FloatArray, JointCommand
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +48,7 @@ class ProbeResult:
 
 def probe(
     robot: Robot,
-    motion: ProbeMotion,
+    motion: FloatArray,
     settings: ProbeSettings,
     signals: Signals,
     *,
@@ -69,7 +59,7 @@ def probe(
 
     Args:
         robot: Not started yet.
-        motion: Targets, and which joints are read in every row.
+        motion: Targets (T, 12) [rad].
         settings: Rate and gains.
         signals: Ctrl-C ends it and keeps the log.
         wiring: Of motors on CAN, which are asked one by one; None for a motion board, which reads all of them.
@@ -86,10 +76,10 @@ def probe(
     rows = _Rows(robot, supervisor, signals, settings, wiring)
     try:
         state = robot.start()
-        for gain, target in approach(state.q, motion.q_des[0], settings):
-            rows.step(gain, target, motion.watched[0], keep=False)
-        for number, (target, watched) in enumerate(zip(motion.q_des, motion.watched, strict=True)):
-            rows.step(1.0, target, watched, keep=True, everyone=number in (0, len(motion) - 1))
+        for gain, target in approach(state.q, motion[0], settings):
+            rows.step(gain, target, keep=False)
+        for number, target in enumerate(motion):
+            rows.step(1.0, target, keep=True)
             if progress is not None and number % round(settings.rate_hz) == 0:
                 progress(number, len(motion))
         rows.end()
@@ -128,39 +118,31 @@ class _Rows:
         self._signals = signals
         self._settings = settings
         self._wiring = wiring
-        self._columns: dict[str, list[FloatArray | BoolArray | float]] = {
-            name: [] for name in ("t", "asked", "q", "dq", "tau", "q_des", "receive", "temperature", "voltage")
+        self._columns: dict[str, list[FloatArray | float]] = {
+            name: [] for name in ("t", "q", "dq", "tau", "q_des", "receive", "temperature", "voltage")
         }
-        self._turns = turns(settings.rate_hz, robot.description.dt)
-        self._since: FloatArray = np.full(len(JOINTS), -np.inf)
-        """When each motor was asked last [s]."""
-        self._in_effect: FloatArray = np.full(len(JOINTS), np.nan)
-        """Last target sent to each motor [rad]."""
-        self._row: tuple[float, list[int], BoolArray] | None = None
-        """The row whose answers may still come: its time [s], joints asked, and joints of legs that moved."""
+        self._row: tuple[float, FloatArray] | None = None
+        """The row whose answers may still come: its time [s] and the targets that were sent (12,) [rad]."""
         self._busy: list[tuple[float, FloatArray]] = []
         """Time and how long each bus was busy so far [s], at the first recorded row and at the last."""
         self.t = 0.0
         """Time of the plant [s]."""
 
-    def step(self, gain: float, target: FloatArray, watched: BoolArray, *, keep: bool, everyone: bool = False) -> None:
+    def step(self, gain: float, target: FloatArray, *, keep: bool) -> None:
         robot = self._robot
         settings = self._settings
         signals = self._signals
         self.end()
         asked = robot.now
         zeros = np.zeros(len(JOINTS))
-        joints = list(ALL) if everyone or self._wiring is None else self._turns.asked(watched, self._since)
         kp = np.full(len(JOINTS), gain * settings.kp)
         kd = np.full(len(JOINTS), gain * settings.kd)
         command = JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros)
-        self._since[joints] = asked
-        tick = robot.step(command, 1.0 / settings.rate_hz, joints)
+        tick = robot.step(command, 1.0 / settings.rate_hz)
         self.t = tick.state.t
-        self._in_effect[joints] = tick.sent.q_des[joints]
-        self._row = (asked, joints, watched) if keep else None
+        self._row = (asked, tick.sent.q_des) if keep else None
         report = StepReport(
-            state=robot.state(self._since),
+            state=tick.state,
             health=tick.health,
             phase=0,
             q_des=target,
@@ -177,19 +159,15 @@ class _Rows:
         self._robot.look()
         if self._row is None:
             return
-        (asked_at, joints, watched) = self._row
+        asked, sent = self._row
         self._row = None
         report = self._robot.report
-        asked = np.isin(ALL, joints)
-        came = asked & (report["came"] > asked_at)  # an answer of another joint is delayed by a row or more
+        came = report["came"] > asked  # others are delayed by a row or more
         row = (
-            asked_at,
             asked,
-            np.where(came, report["q"], np.nan),
-            np.where(came, report["dq"], np.nan),
-            np.where(came, report["tau"], np.nan),
-            self._in_effect.copy(),
-            np.where(watched & came, report["came"], np.nan),
+            *(np.where(came, report[name], np.nan) for name in ("q", "dq", "tau")),
+            sent,
+            np.where(came, report["came"], np.nan),
             np.array(report["temperature"]),
             float(report["voltage"]),
         )
@@ -214,8 +192,7 @@ class _Rows:
             extra[f"t_receive.{name}"] = columns["receive"][:, joint] - begin
             extra[f"temperature.{name}"] = columns["temperature"][:, joint]
             extra[f"tau_now.{name}"] = columns["tau"][:, joint]
-        asked = columns["asked"].astype(bool)
-        missing = float(np.isnan(columns["q"][asked]).mean())
+        missing = float(np.isnan(columns["q"]).mean())
         middle = 0.0 if wiring is None else wiring.sign * wiring.motors().facts.position_bias
         log = JointLog(
             joints=JOINTS,
@@ -229,25 +206,16 @@ class _Rows:
                 "kd": settings.kd,
                 "robot": self._robot.description.name,
                 "motion": settings.kind,
-                "joints_at_once": settings.joints,
                 "rate_hz": settings.rate_hz,
                 "missing_share": missing,
                 "ended": "" if ended is None else ended.text,
-            }
-            | self._held(asked),
+            },
         )
-        expected = np.zeros(0) if wiring is None else expected_load(wiring, settings.rate_hz * asked.mean(axis=0))
+        expected = np.zeros(0) if wiring is None else expected_load(wiring, settings.rate_hz)
         (start, before), (stop, after) = self._busy
         load = (after - before) / (stop - start)
         load = load[np.isfinite(load)]
         return ProbeResult(log=log, ended=ended, missing=missing, load=load, expected=expected)
-
-    def _held(self, asked: BoolArray) -> dict[str, Any]:
-        """Return the metadata by which a reader carries readings of held joints forward."""
-        if asked.all() or self._wiring is None:
-            return {}
-        within = HELD_STEPS * self._wiring.motors().facts.position_step
-        return {HELD: {"rows": MAX_GAP_TURNS * self._turns.rows, "within": within}}
 
 
 def _first_known(values: FloatArray) -> FloatArray:

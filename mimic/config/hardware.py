@@ -81,9 +81,6 @@ class ProbeSettings(Limited):
     """Length of the motion [s]."""
     rate_hz: float = within(200.0, 50.0, 250.0, "Hz")
     """Readings per second [Hz]; at 200 Hz twelve motors use 70 % of one bus."""
-    joints: Literal["all", "sides", "legs", "each"] = "all"
-    """Joints that move at the same time: all, the six of one side, those of one leg, or one. Resting legs are read
-    less often, which reduces the bus load."""
     amplitude: float = within(0.5, 0.05, 1.0)
     """Share of the joint ranges to use."""
     kind: Literal["probe", "random"] = "probe"

@@ -8,8 +8,6 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from mimic.config.hardware import DriveSettings, LookSettings, WiringSettings
 from mimic.config.ranges import check_range
 from mimic.control.priority import LOOP, real_time
@@ -26,7 +24,6 @@ from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings
 from mimic.hardware.robot.opening import open_driver
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.process import SenderProcess
-from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 
 Report = Callable[[list[Check]], None]
@@ -131,7 +128,7 @@ def robot_session(
     settings: DriveSettings,
     description: RobotDescription,
     *,
-    rate_hz: float | FloatArray,
+    rate_hz: float,
     report: Report,
     go: Callable[[], None],
     suspended: bool = False,
@@ -144,7 +141,7 @@ def robot_session(
         bus_url: Its buses, or the name of a motion board.
         settings: Wiring, zeros and torque limit.
         description: The robot.
-        rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
+        rate_hz: Commands a second to each motor.
         report: Receives the results of the pre-flight, also if they forbid moving.
         go: Returns when the user wants the robot to move; may raise.
         suspended: The robot hangs in the air instead of lying on the floor.
@@ -161,7 +158,7 @@ def robot_session(
     board = bus_url in BOARDS
     if board and dry_run:
         raise ConfigError("--dry-run is for motors on CAN; to listen to a stock robot: mimic robot watch, or check")
-    options = CheckOptions(rate_hz=np.asarray(rate_hz).tolist(), suspended=suspended, inference=inference)
+    options = CheckOptions(rate_hz=rate_hz, suspended=suspended, inference=inference)
     with nullcontext(()) if board else bus_lock(bus_url) as locks:
         link = SenderProcess(driver_settings(bus_url, settings, description, dry_run=dry_run), description, keep=locks)
         try:

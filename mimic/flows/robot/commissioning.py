@@ -195,7 +195,7 @@ def probe_robot(
         PlantError, BusError, ConfigError, AssetError: If something stands against it.
     """
     from mimic.commissioning.probe import probe
-    from mimic.commissioning.probe_motion import asked_rates, probe_motion, recorded_motion
+    from mimic.commissioning.probe_motion import probe_motion, recorded_motion
     from mimic.control.signals import Signals
     from mimic.hardware.robot.board_wiring import BOARDS
     from mimic.hardware.session import robot_session, wiring_of
@@ -219,11 +219,9 @@ def probe_robot(
         bus_url,
         bus,
         description,
-        rate_hz=asked_rates(targets, settings, description),
+        rate_hz=settings.rate_hz,
         report=operator.show_findings,
-        go=lambda: operator.confirm(
-            f"It moves {settings.joints} joints for {seconds:.0f} s; feet free, nobody within reach."
-        ),
+        go=lambda: operator.confirm(f"It moves all joints for {seconds:.0f} s; feet free, nobody within reach."),
         suspended=True,
     ) as plant:
         reporter.note(f"It moves to the centre within {2 * settings.approach:g} s. Ctrl-C damps and keeps the log.")

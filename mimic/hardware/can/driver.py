@@ -10,7 +10,7 @@ import numpy as np
 from mimic.control.plant import damping_command
 from mimic.errors import BusError
 from mimic.hardware.can.frame import Link
-from mimic.hardware.can.preflight import checked
+from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.step_budget import PARTS
 from mimic.hardware.can.switch_on import need_all_off, set_up, switch_on
 from mimic.hardware.can.wiring import Wiring
@@ -19,7 +19,7 @@ from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import MotorMode, Register
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import ALL, CheckOptions, no_report
-from mimic.records import JOINTS, FloatArray, IntArray, JointCommand
+from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
 ASK_EVERY = 0.1
@@ -78,7 +78,8 @@ class CanDriver:
         self._failures = self._asked_count = 0
         self._tried: FloatArray = np.full(wiring.buses, -np.inf)
         self._next_question = -np.inf
-        self._waits: tuple[float, IntArray] | None = None
+        self._waits: float | None = None
+        """When the motors were asked that have not all answered [s]."""
         self._damped = -np.inf
         self._left = list(ALL)
         self._on = False
@@ -117,7 +118,7 @@ class CanDriver:
 
     def checks(self, options: CheckOptions) -> list[Check]:
         """Check a robot whose motors are off; nothing moves."""
-        return checked(self.motor_bus, self._description, options, homing=self._homing, trust_zeros=self._zeroed)
+        return preflight(self.motor_bus, self._description, options, homing=self._homing, trust_zeros=self._zeroed)
 
     # ------------------------------------------------------------------ driving
 
@@ -138,8 +139,8 @@ class CanDriver:
         """Return that nothing was switched on, where that is so."""
         return "" if self._on else "nothing was switched on"
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
-        """Send a command; joints on a bus that does not take it have NaN in the report's ``q_sent``."""
+    def drive(self, command: JointCommand) -> None:
+        """Send a command; where a bus does not take it, the report's ``q_sent`` is NaN."""
         motor_bus = self.motor_bus
         now = self.now()
         sent = None
@@ -149,17 +150,17 @@ class CanDriver:
             self._fail(reason)
         try:
             if self._dry:
-                self._stop(joints)
+                self._stop(ALL)
                 sent = command
             else:
-                sent = motor_bus.command(command, joints)
+                sent = motor_bus.command(command)
             if now >= self._next_question:
                 self._next_question = now + ASK_EVERY
                 self._ask()
         except BusError as reason:
             self._fail(reason)
-        self._note_sent(sent, joints)
-        self._waits = now, np.array(joints, dtype=int)
+        self._note_sent(sent, ALL)
+        self._waits = now
 
     def _note_sent(self, sent: JointCommand | None, joints: Sequence[int]) -> None:
         """Count a command to these joints in the report; None where their bus did not take it."""
@@ -203,10 +204,7 @@ class CanDriver:
         return False
 
     def _complete(self) -> bool:
-        if self._waits is None:
-            return False
-        asked, joints = self._waits
-        return bool(np.all(self.motor_bus.came[joints] > asked))
+        return self._waits is not None and bool(np.all(self.motor_bus.came > self._waits))
 
     # ------------------------------------------------------------------ damping and off
 

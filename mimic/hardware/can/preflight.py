@@ -7,7 +7,7 @@ import numpy as np
 from mimic.errors import FrameError
 from mimic.hardware.can.load import MAX_LOAD, expected_load
 from mimic.hardware.can.other_programs import holding, others
-from mimic.hardware.can.step_budget import SPARE, StepBudget, step_budget
+from mimic.hardware.can.step_budget import SPARE, step_budget
 from mimic.hardware.can.switch_on import set_host_timeout
 from mimic.hardware.can.zeros import Homing, uneven, zero_problems
 from mimic.hardware.motors import registers
@@ -41,54 +41,28 @@ UNKNOWN_SHOWN = 6
 """Identifiers of unknown senders that are named."""
 
 
-def checked(
+def preflight(
     motor_bus: MotorBus,
     description: RobotDescription,
     options: CheckOptions,
     *,
-    homing: Homing | None,
-    trust_zeros: bool,
-) -> list[Check]:
-    """Check a robot for a run; see `preflight`."""
-    rate_hz = np.asarray(options.rate_hz, dtype=float)
-    budget = None
-    if options.inference is not None:
-        parts = round(float(rate_hz.max()) * description.dt)
-        budget = step_budget(motor_bus.wiring, description.dt, parts, options.inference)
-    motor_bus.drain()  # what came while a person was asked
-    return preflight(
-        motor_bus,
-        description,
-        rate_hz=rate_hz,
-        homing=homing,
-        trust_zeros=trust_zeros,
-        suspended=options.suspended,
-        budget=budget,
-    )
-
-
-def preflight(
-    motor_bus: MotorBus,
-    description: RobotDescription,
-    *,
-    rate_hz: float | FloatArray,
-    homing: Homing | None,
-    trust_zeros: bool,
-    suspended: bool = False,
-    budget: StepBudget | None = None,
+    homing: Homing | None = None,
+    trust_zeros: bool = False,
 ) -> list[Check]:
     """Check a robot whose motors are off; nothing moves.
 
     Args:
         motor_bus: Its motors and IMU.
         description: The robot.
-        rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
+        options: Of the run.
         homing: What is known about its zeros.
         trust_zeros: Use the zeros as the wiring has them.
-        suspended: The robot hangs in the air instead of lying on the floor.
-        budget: Of the control steps, where a policy drives it.
     """
-    found = [_load(motor_bus, rate_hz), *([] if budget is None else [_step(budget)])]
+    suspended = options.suspended
+    motor_bus.drain()  # what came while a person was asked
+    found = [_load(motor_bus, options.rate_hz)]
+    if options.inference is not None:
+        found.append(_step(motor_bus, description.dt, options.rate_hz, options.inference))
     driven = others(motor_bus) or holding(motor_bus)
     if driven:
         return [*found, Check(name="other programs", verdict="stop", text=driven)]
@@ -116,20 +90,19 @@ def preflight(
     return [*found, _timeout(motor_bus), _others(motor_bus)]
 
 
-def _load(motor_bus: MotorBus, rate_hz: float | FloatArray) -> Check:
-    parts = np.atleast_2d(np.broadcast_to(rate_hz, (*np.shape(rate_hz)[:-1], len(JOINTS))))
-    load = np.max([expected_load(motor_bus.wiring, rates) for rates in parts], axis=0)
+def _load(motor_bus: MotorBus, rate_hz: float) -> Check:
+    load = expected_load(motor_bus.wiring, rate_hz)
     shares = ", ".join(f"{share:.0%}" for share in load)
-    rates = f"{parts.max():g} Hz"
-    if parts.min() < parts.max():
-        rates = f"{rates} for legs that move and {parts.min():.3g} Hz for the others"
     if load.max() > MAX_LOAD:
-        text = f"{rates} would take {shares} of the bus; at most {MAX_LOAD:.0%} fit. Use more buses or a lower rate"
+        text = (
+            f"{rate_hz:g} Hz would take {shares} of the bus; at most {MAX_LOAD:.0%} fit. Use more buses or a lower rate"
+        )
         return Check(name="bus load", verdict="stop", text=text)
-    return Check(name="bus load", verdict="ok", text=f"{shares} at {rates} (estimated)")
+    return Check(name="bus load", verdict="ok", text=f"{shares} at {rate_hz:g} Hz (estimated)")
 
 
-def _step(budget: StepBudget) -> Check:
+def _step(motor_bus: MotorBus, dt: float, rate_hz: float, inference: float) -> Check:
+    budget = step_budget(motor_bus.wiring, dt, round(rate_hz * dt), inference)
     if budget.fits:
         return Check(name="control step", verdict="ok", text=str(budget))
     text = f"{budget}, at least {1e3 * SPARE:g} ms are needed. Use more buses or a faster computer"

@@ -7,7 +7,6 @@ published, so the last one it gets, again and again, is always damping.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ from mimic.hardware.go2.messages import (
 from mimic.hardware.go2.wiring import Go2Wiring, load_go2
 from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, PERIOD, BoardDriver, BoardReadings
 from mimic.hardware.robot.checks import LYING_TOLERANCE, Check
-from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings
+from mimic.hardware.robot.driver import CheckOptions, DriverSettings
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 
@@ -202,7 +201,7 @@ class Go2Driver(BoardDriver):
             self._answers_to.clear()
             self._publish(f"{SWITCHER}request", Call(id=next(self._calls), api=CHECK_MODE).to_bytes())
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+    def drive(self, command: JointCommand) -> None:
         """Send a command, and ask for its own mode now and then.
 
         Raises:
@@ -210,7 +209,7 @@ class Go2Driver(BoardDriver):
         """
         if self.mode:
             raise FrameError(f"its own mode {self.mode!r} is active again, and drives the robot")
-        super().drive(command, joints)
+        super().drive(command)
         self._ask_again()
 
     def notes(self) -> list[str]:

@@ -9,7 +9,7 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from mimic.control.safety.safety_limits import limits_for
 from mimic.errors import BusError, ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check
-from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, no_report
+from mimic.hardware.robot.driver import NEVER, CheckOptions, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
@@ -254,7 +254,7 @@ class BoardDriver:
         """Let go of the network."""
         self.bus.close()
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+    def drive(self, command: JointCommand) -> None:
         """Send a command; a message holds those of all joints.
 
         Raises:

@@ -6,7 +6,6 @@ its own: `mimic.hardware.robot.sender` says when to send what.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -81,8 +80,8 @@ def no_report() -> Any:
 class CheckOptions:
     """What the pre-flight needs to know of the run."""
 
-    rate_hz: Sequence[Any] | float
-    """Commands a second to each motor, or to these motors in each part of a motion (parts, 12) [Hz]."""
+    rate_hz: float
+    """Commands a second to each motor [Hz]."""
     suspended: bool = False
     """The robot hangs in the air instead of lying on the floor."""
     inference: float | None = None
@@ -121,8 +120,8 @@ class Driver(Protocol):
         """
         ...
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
-        """Send a command to these joints; where the way to the robot fails, ``problem`` says so.
+    def drive(self, command: JointCommand) -> None:
+        """Send a command; where the way to the robot fails, ``problem`` says so.
 
         Raises:
             FrameError: If it is not finite, or the robot does not take its gains.

@@ -593,7 +593,7 @@ def test_a_sender_that_keeps_its_old_target_is_ended(standing_up, description):
 def test_a_sender_that_reports_and_sends_nothing_is_ended(standing_up, description):
     _, plant = standing_up
     driver = plant.link.driver
-    driver.drive = lambda command, joints=(): None
+    driver.drive = lambda command: None
     assert "has sent nothing" in disobeys(plant, description)
 
 
