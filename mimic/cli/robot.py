@@ -336,12 +336,13 @@ def _watched(seen: Watched) -> Table:
         shown.add_column(name, justify="left" if name == "joint" else "right")
     for j, joint in enumerate(JOINTS):
         values = {
-            "{:+.1f}": np.rad2deg(seen.q[j]),
-            "{:+.2f}": seen.dq[j],
-            "{:+.1f} ": seen.tau[j],
-            "{:.0f}": seen.temperature[j],
+            "{:+.1f}": np.rad2deg(seen.report["q"][j]),
+            "{:+.2f}": seen.report["dq"][j],
+            "{:+.1f} ": seen.report["tau"][j],
+            "{:.0f}": seen.report["temperature"][j],
         }
-        errors = f"{seen.errors[j]:#x}" if seen.errors[j] else ""
+        faults = int(seen.report["faults"][j])
+        errors = f"{faults:#x}" if faults else ""
         shown.add_row(joint, *(number(float(value), form) for form, value in values.items()), errors)
     return shown
 

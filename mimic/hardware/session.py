@@ -119,7 +119,7 @@ def _priority() -> list[Check]:
         f"this user gets no real-time priority, so the robot is damped where other programs hold this one up ({busy}); "
         "to allow it, add to /etc/security/limits.conf, with your name, and log in again: NAME - rtprio 20"
     )
-    return [Check(name="priority", verdict="note", text=text)]
+    return [Check("priority", "note", text)]
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -22,6 +22,12 @@ LEGS = ("FL", "FR", "RL", "RR")
 JOINTS = tuple(f"{leg}_{part}" for leg in LEGS for part in ("abad", "hip", "knee"))
 """Roles of the joints, and the order of every (12,) joint array: abad turns about +x, hip and knee about +y. A robot's
 own names of its joints stand in its description."""
+
+
+def joint_names(joints: Iterable[int]) -> str:
+    """Return the roles of joints, for a sentence."""
+    return ", ".join(JOINTS[j] for j in joints)
+
 
 SIDES = ("left", "right")
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from mimic.config.hardware import WiringSettings
 from mimic.errors import ConfigError, PlantError
+from mimic.flows.play import load_robot
 from mimic.io import store
 from mimic.records import JOINTS
 
@@ -64,7 +65,7 @@ def wire_robot(
     given = wiring_of(bus_url, bus)
     with open_session(bus_url, bus, zeros=False) as robot:
         look_first(robot.motor_bus())
-        check = WireCheck(robot.link, given, scan(robot.link, given))
+        check = WireCheck(robot.link, given, scan(robot.link, given), load_robot())
         places, signs = check.joints(say)
         quat_BI = check.imu(say)
     found = replace(

@@ -12,14 +12,14 @@ from mimic.errors import BusError
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.step_budget import PARTS
-from mimic.hardware.can.switch_on import need_all_off, set_up, switch_on
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.can.zeros import Homing
+from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import MotorMode, Register
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import ALL, CheckOptions, no_report
-from mimic.records import JOINTS, FloatArray, JointCommand
+from mimic.records import JOINTS, FloatArray, JointCommand, joint_names
 from mimic.robot.description import RobotDescription
 
 ASK_EVERY = 0.1
@@ -129,11 +129,11 @@ class CanDriver:
             PlantError: If a motor does not answer, or does not accept its settings.
             BusError: If a bus fails.
         """
-        need_all_off(self.motor_bus)
+        registers.need_all_off(self.motor_bus)
         if not self._dry:
-            set_up(self.motor_bus, self._torque_limit)
+            registers.set_up(self.motor_bus, self._torque_limit)
             self._on = True
-            switch_on(self.motor_bus)
+            registers.switch_on(self.motor_bus)
 
     def abandon(self) -> str:
         """Return that nothing was switched on, where that is so."""
@@ -278,7 +278,7 @@ class CanDriver:
     def _left_as(self) -> str:
         if not self._left:
             return "the robot was damped and all motors are off"
-        names = "the motors" if len(self._left) == len(ALL) else ", ".join(JOINTS[j] for j in self._left)
+        names = "the motors" if len(self._left) == len(ALL) else joint_names(self._left)
         refused = self.now() - self.motor_bus.taken[self.motor_bus.wiring.bus[self._left]] > DEAD
         if refused.all():
             return f"{names} could not be stopped: {self.problem}; cut the power"

@@ -212,7 +212,7 @@ class Go2Driver(BoardDriver):
         super().drive(command)
         self._ask_again()
 
-    def notes(self) -> list[str]:
+    def _own_notes(self) -> list[str]:
         """Return what is known of its own mode."""
         others = self._dds.others()
         return [f"commands may come from {', '.join(others)}"] if others else ["nobody else may command it"]
@@ -228,21 +228,21 @@ class Go2Driver(BoardDriver):
                 "its motion switcher does not answer, so its own sport mode may command it: restart it, and wait until "
                 "it has stood up; is it a Go2 EDU? No other one obeys"
             )
-            found.append(Check(name="own mode", verdict="stop", text=text))
+            found.append(Check("own mode", "stop", text))
         elif self.mode:
             text = f"its own mode {self.mode!r} is active: it lies down and is released when you begin"
-            found.append(Check(name="own mode", verdict="note", text=text))
+            found.append(Check("own mode", "note", text))
         else:
-            found.append(Check(name="own mode", verdict="ok", text="none is active"))
+            found.append(Check("own mode", "ok", "none is active"))
         if others or came:
             text = f"{came} commands came; who may send: {', '.join(others) or 'unknown'}"
             expected = bool(self.mode)  # the robot's own mode commands it until it is released
             text += "; looked at again once its own mode is released" if expected else "; end that program first"
-            found.append(Check(name="other programs", verdict="note" if expected else "stop", text=text))
+            found.append(Check("other programs", "note" if expected else "stop", text))
         else:
-            found.append(Check(name="other programs", verdict="ok", text="none commands this robot"))
+            found.append(Check("other programs", "ok", "none commands this robot"))
         own = "not published: it is expected to hold its last command, so mimic never falls silent before damping"
-        return found, "lay it down with its remote control", [Check(name="own timeout", verdict="note", text=own)]
+        return found, "lay it down with its remote control", [Check("own timeout", "note", own)]
 
     def _robots(self) -> list[Check]:
         """Return what stands against it where more than one robot speaks: each would obey the commands."""
@@ -250,7 +250,7 @@ class Go2Driver(BoardDriver):
         if len(robots) < 2 and not self._strangers:
             return []
         text = f"more than one sends rt/lowstate on this network ({'; '.join(robots)}), and all of them would obey"
-        return [Check(name="robot", verdict="stop", text=f"{text}: leave one robot switched on")]
+        return [Check("robot", "stop", f"{text}: leave one robot switched on")]
 
     def checks(self, options: CheckOptions) -> list[Check]:
         """Check a robot by listening to it and asking for its own mode; nothing moves."""

@@ -18,7 +18,7 @@ from mimic.control.safety.safety_limits import limits_for
 from mimic.errors import BusError, ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check
-from mimic.hardware.robot.driver import NEVER, CheckOptions, no_report
+from mimic.hardware.robot.driver import NEVER, SILENT, CheckOptions, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
@@ -347,6 +347,16 @@ class BoardDriver:
 
     def notes(self) -> list[str]:
         """Return what there is to say of the robot beside its readings."""
+        report = self.report
+        notes = self._own_notes() if self.now() - report["heard"] < SILENT else ["no message comes from the robot"]
+        if report["errors"]:
+            notes.append(f"{int(report['errors'])} messages made no sense")
+        if report["foreign"]:
+            notes.append(f"{int(report['foreign'])} commands of other programs")
+        return notes
+
+    def _own_notes(self) -> list[str]:
+        """Return what there is to say of a robot that answers."""
         raise NotImplementedError
 
     def _own_checks(self) -> tuple[list[Check], str, list[Check]]:
@@ -366,19 +376,19 @@ class BoardDriver:
         self.listen(begin + LISTEN)
         last = self.report
         seconds = self.now() - begin
-        found = [Check(name="network", verdict="ok", text=self.network)]
+        found = [Check("network", "ok", self.network)]
         if last["heard"] < begin:
             text = f"no message came from the robot; {self.asleep}"
-            return [*found, Check(name="messages", verdict="stop", text=text)]
+            return [*found, Check("messages", "stop", text)]
         rates = {name: (count - before[name]) / seconds for name, count in self.counts().items()}
         commands, advice, more = self._own_checks()
         found += [self._messages(rates, int(last["errors"])), *commands]
         q = np.array(last["q"])
         if np.isnan(q).any():
-            return [*found, Check(name="pose", verdict="stop", text="the robot sends no joint angles")]
+            return [*found, Check("pose", "stop", "the robot sends no joint angles")]
         found.append(pose_check(q, description, LYING_TOLERANCE, suspended=suspended, advice=advice))
         if last["imu_came"] == NEVER:
-            found.append(Check(name="IMU", verdict="stop", text="the robot sends no orientation"))
+            found.append(Check("IMU", "stop", "the robot sends no orientation"))
         else:
             quat = np.array(last["quat_WB"])
             omega = np.array(last["omega_B"])
@@ -390,9 +400,9 @@ class BoardDriver:
         text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
         if errors:
             text += f"; {errors} could not be read: the firmware may define its messages differently"
-            return Check(name="messages", verdict="stop", text=text)
+            return Check("messages", "stop", text)
         if min(rates.values()) < LOWEST_RATE:
-            return Check(name="messages", verdict="stop", text=f"{text}; expected at least {LOWEST_RATE:g} Hz of each")
+            return Check("messages", "stop", f"{text}; expected at least {LOWEST_RATE:g} Hz of each")
         if min(rates.values()) < self.usual_rate:
-            return Check(name="messages", verdict="note", text=f"{text}; more than {self.usual_rate:g} Hz are usual")
-        return Check(name="messages", verdict="ok", text=text)
+            return Check("messages", "note", f"{text}; more than {self.usual_rate:g} Hz are usual")
+        return Check("messages", "ok", text)

@@ -76,6 +76,21 @@ def no_report() -> Any:
     return report
 
 
+SILENT = 0.5
+"""Who has said nothing for this long is shown as silent [s]."""
+
+
+def newest(report: Any, since: float) -> Any:
+    """Return a report with NaN for joints, and for an IMU, that said nothing after a time [s]."""
+    report = report.copy()
+    came = report["came"] if np.isfinite(report["came"]).any() else report["heard"]
+    for name in ("q", "dq", "tau", "temperature"):
+        report[name] = np.where(came > since, report[name], np.nan)
+    for name in ("quat_WB", "omega_B"):
+        report[name] = report[name] if report["imu_came"] > since else np.nan
+    return report
+
+
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions:
     """What the pre-flight needs to know of the run."""

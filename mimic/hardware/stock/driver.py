@@ -101,7 +101,7 @@ class StockDriver(BoardDriver):
         """Return how many messages with joints and with orientations came so far."""
         return {"leg_control_data": self.readings.joints, "state_estimator": int(self.report["imu_count"])}
 
-    def notes(self) -> list[str]:
+    def _own_notes(self) -> list[str]:
         """Return whether it is in motor mode."""
         err_flag = int(self.report["err_flag"])
         return ["not in motor mode" if err_flag == NO_ERR_FLAG else f"error flag {err_flag:#04x}"]
@@ -114,8 +114,8 @@ class StockDriver(BoardDriver):
         motors = "motor temperatures and errors are known once the first command was sent, and checked then"
         own = "its firmware damps it by itself 0.5 s after the last message"
         more = [
-            Check(name="motors", verdict="note", text=motors),
-            Check(name="own timeout", verdict="ok", text=own),
+            Check("motors", "note", motors),
+            Check("own timeout", "ok", own),
         ]
         return [_commands(self.report)], advice, more
 
@@ -217,14 +217,14 @@ class StockDriver(BoardDriver):
 def _commands(last: Any) -> Check:
     if last["foreign"]:
         text = f"another program commands this robot ({int(last['foreign'])} messages in {LISTEN:g} s); end it first"
-        return Check(name="other programs", verdict="stop", text=text)
+        return Check("other programs", "stop", text)
     if last["err_flag"] == NO_ERR_FLAG:
         text = "none commands this robot; its firmware is not in motor mode yet"
-        return Check(name="other programs", verdict="ok", text=text)
+        return Check("other programs", "ok", text)
     if not int(last["err_flag"]) & TIMED_OUT:
         text = "a program commanded this robot within the last half second; wait, and try again"
-        return Check(name="other programs", verdict="stop", text=text)
-    return Check(name="other programs", verdict="ok", text="none commands this robot; it is in motor mode from before")
+        return Check("other programs", "stop", text)
+    return Check("other programs", "ok", "none commands this robot; it is in motor mode from before")
 
 
 def open_stock_driver(settings: DriverSettings, *, quick: bool = False) -> StockDriver:

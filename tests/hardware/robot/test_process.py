@@ -358,7 +358,7 @@ def test_watching_shows_joints_and_orientation_and_sends_nothing(board, wiring):
     seen = []
     settings = BusSettings(wiring=str(wiring.path), interface="lo")
     watch_robot("cyberdog2", settings, seconds=1.0, every=0.5, show=seen.append)
-    np.testing.assert_allclose(seen[-1].q, board.robot.body.data.qpos[-12:], atol=0.02)
+    np.testing.assert_allclose(seen[-1].report["q"], board.robot.body.data.qpos[-12:], atol=0.02)
     np.testing.assert_allclose(seen[-1].rpy[:2], 0.0, atol=0.02)
     assert "not in motor mode" in seen[-1].notes
     assert board.robot.err_flag == 0
