@@ -20,8 +20,7 @@ from mimic.errors import BusError, FrameError
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.frame import CanFrame, Received
 from mimic.hardware.can.wiring import load_wiring
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind, MotorMessage
 from mimic.hardware.motors.interface import Feedback, MotorCommand, MotorMode
 from mimic.hardware.robot.plant import Robot
 from mimic.records import JOINTS, JointCommand, Tick

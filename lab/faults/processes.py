@@ -28,8 +28,7 @@ from lab.faults.trouble import CASES, logged, stood
 from mimic.control.recorder import ROWS, salvage
 from mimic.emulator.faults import EmulatedFault, random_fault
 from mimic.hardware.can.opening import open_link
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind
 from mimic.hardware.motors.interface import MotorCommand
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.io import store

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.motors.cybergear.codec import TORQUE, Codec, HostMessage, MotorMessage, ParameterValue
-from mimic.hardware.motors.cybergear.parameters import (
+from mimic.hardware.motors.cybergear.codec import (
     CAN_TIMEOUT,
     IQF,
     LIMIT_TORQUE,
@@ -21,9 +20,14 @@ from mimic.hardware.motors.cybergear.parameters import (
     OPERATION_MODE,
     PARAMETERS,
     RUN_MODE,
+    TORQUE,
     VBUS,
+    Codec,
     Fault,
+    HostMessage,
     Kind,
+    MotorMessage,
+    ParameterValue,
 )
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorMode
 
@@ -220,9 +224,7 @@ class EmulatedMotor:
 
     def _write(self, index: int, value: float) -> None:
         running = self.mode is MotorMode.RUNNING
-        if not PARAMETERS[index].writable or (index == RUN_MODE and running):
-            return
-        if index == CAN_TIMEOUT and not self.timeout_honoured:
+        if (index == RUN_MODE and running) or (index == CAN_TIMEOUT and not self.timeout_honoured):
             return
         self.values[index] = value
         if running and index == LIMIT_TORQUE:

@@ -12,6 +12,7 @@ from mimic.hardware.motors.cybergear.codec import (
     TORQUE,
     VELOCITY,
     Codec,
+    Kind,
     MotorMessage,
     ParameterValue,
     check_ids,
@@ -19,7 +20,6 @@ from mimic.hardware.motors.cybergear.codec import (
     parameter_bytes,
     to_word,
 )
-from mimic.hardware.motors.cybergear.parameters import Kind
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity
 
 

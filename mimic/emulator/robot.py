@@ -26,8 +26,7 @@ from mimic.emulator.motor_frames import encode_answer
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame, Received
 from mimic.hardware.can.wiring import Wiring
-from mimic.hardware.motors.cybergear.codec import Codec, MotorMessage
-from mimic.hardware.motors.cybergear.parameters import Fault
+from mimic.hardware.motors.cybergear.codec import Codec, Fault, MotorMessage
 from mimic.hardware.motors.interface import MotorMode
 from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription

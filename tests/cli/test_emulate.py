@@ -16,8 +16,7 @@ import pytest
 
 from mimic.cli import main
 from mimic.hardware.can.opening import open_link
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind, MotorMessage
 from mimic.hardware.motors.interface import Feedback
 
 PATIENCE = 60.0

@@ -18,8 +18,7 @@ from mimic.flows.watching import watch_robot
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.wiring import load_wiring
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind
 from mimic.hardware.motors.interface import MotorCommand, MotorMode
 from mimic.hardware.robot.plant import idle_command
 from mimic.records import JOINTS

@@ -16,16 +16,19 @@ from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import CanFrame, Received
 from mimic.hardware.can.load import frame_bits
 from mimic.hardware.can.wiring import Wiring, load_wiring
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage, ParameterValue
-from mimic.hardware.motors.cybergear.parameters import (
+from mimic.hardware.motors.cybergear.codec import (
     CAN_TIMEOUT,
     LIMIT_SPD,
     LIMIT_TORQUE,
     MECH_POS,
     RUN_MODE,
     VBUS,
+    Codec,
     Fault,
+    HostMessage,
     Kind,
+    MotorMessage,
+    ParameterValue,
 )
 from mimic.hardware.motors.imu import Imu, ImuReading, make_imu
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorCommand, MotorMode

@@ -120,8 +120,6 @@ class _Reader:
         if not isinstance(maker, str):
             raise ConfigError(f"motor is {maker!r}; expected the maker of the motors, such as {DEFAULT_MAKER!r}")
         position_range = number(raw, "position_range", "the file")
-        if not 1.0 < position_range < 100.0:
-            raise ConfigError(f"position_range is {position_range:g} rad; expected such as 4 pi = 12.566 or 12.5")
         host = whole(raw, "host", "the file", 0, 0xFFFF)
         facts = make_motors(maker, host=host, position_range=position_range).facts
         if host not in facts.host_ids:

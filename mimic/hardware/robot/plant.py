@@ -9,7 +9,7 @@ import numpy as np
 
 from mimic.errors import PlantError, SenderError
 from mimic.hardware.robot.driver import no_report
-from mimic.hardware.robot.process import HANGS, SenderLink
+from mimic.hardware.robot.process import HANGS, SenderProcess
 from mimic.hardware.robot.sender import Order, State
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.description import RobotDescription
@@ -37,7 +37,7 @@ class Robot:
     health. The position of the base is not measured.
     """
 
-    def __init__(self, link: SenderLink, description: RobotDescription, *, suspended: bool = False) -> None:
+    def __init__(self, link: SenderProcess, description: RobotDescription, *, suspended: bool = False) -> None:
         """Prepare the plant; nothing is sent yet.
 
         Args:

@@ -29,8 +29,7 @@ from mimic.hardware.can.other_programs import look_first
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.bus import MotorBus
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind
 from mimic.hardware.motors.interface import Feedback, MotorCommand, MotorMode
 from mimic.hardware.robot.driver import CheckOptions
 from mimic.hardware.robot.plant import Robot

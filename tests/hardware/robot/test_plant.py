@@ -14,7 +14,7 @@ from mimic.emulator.faults import parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, PlantError, SenderError
 from mimic.hardware.can.wiring import load_wiring
-from mimic.hardware.motors.cybergear.parameters import CAN_TIMEOUT, LIMIT_TORQUE
+from mimic.hardware.motors.cybergear.codec import CAN_TIMEOUT, LIMIT_TORQUE
 from mimic.hardware.motors.interface import MotorMode
 from mimic.hardware.robot.plant import idle_command
 from mimic.records import JOINTS, JointCommand
