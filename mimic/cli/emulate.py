@@ -17,7 +17,6 @@ def emulate(
     buses: int = 1,
     wiring: Path | None = None,
     fault: tuple[str, ...] = (),
-    fault_seed: int | None = None,
     seconds: float | None = None,
     every: float = 10.0,
     view: Annotated[bool, o.Flag] = False,
@@ -42,8 +41,6 @@ def emulate(
     fault
         Faults to inject: KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5, in seconds of the
         emulation, or with + since the first motor was switched on. An unknown kind prints the list.
-    fault_seed
-        Also inject a random fault, drawn with this seed.
     seconds
         End after this time [s]; default: at Ctrl-C.
     every
@@ -60,7 +57,6 @@ def emulate(
         buses=buses,
         wiring=wiring,
         faults=fault,
-        fault_seed=fault_seed,
         seconds=seconds,
         every=every,
         view=view,

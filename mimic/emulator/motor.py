@@ -6,6 +6,7 @@ It turns commands into a `Drive`; the physics is in `mimic.emulator.body`.
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass, field
 from enum import IntFlag
 from typing import NamedTuple
@@ -13,21 +14,29 @@ from typing import NamedTuple
 from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motors.cybergear.codec import (
+    BROADCAST,
     CAN_TIMEOUT,
+    FAULT_ORDER,
     IQF,
     LIMIT_TORQUE,
     MECH_POS,
     OPERATION_MODE,
     PARAMETERS,
     RUN_MODE,
+    TEMPERATURE,
     TORQUE,
     VBUS,
+    VELOCITY,
     Codec,
     Fault,
     HostMessage,
     Kind,
     MotorMessage,
     ParameterValue,
+    check_ids,
+    frame_of,
+    parameter_bytes,
+    to_word,
 )
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorMode
 
@@ -85,6 +94,11 @@ class Drive(NamedTuple):
     tau: float = 0.0
     limit: float = TORQUE[1]
     """Greatest torque [N m]."""
+
+    @property
+    def drives(self) -> bool:
+        """Whether it has stiffness or a torque."""
+        return self.kp > 0.0 or abs(self.tau) > LEAST_TORQUE
 
 
 class Measured(NamedTuple):
@@ -267,3 +281,27 @@ class EmulatedMotor:
             return None  # such as an encoder's, which only the feedback reports
         said = FaultReport(motor=self.id, faults=int(detail), warnings=int(now[1]))
         return MotorMessage(said, self.host)
+
+
+def encode_answer(codec: Codec, message: MotorMessage) -> CanFrame:
+    """Return the frame of what a motor says.
+
+    Raises:
+        FrameError: If a number is not finite, or an id or index does not exist.
+    """
+    said = message.said
+    host = message.host
+    check_ids(said.motor, host)
+    match said:
+        case Feedback():
+            words = (to_word(said.q, *codec.position), to_word(said.dq, *VELOCITY), to_word(said.tau, *TORQUE))
+            data = struct.pack(">4H", *words, to_word(said.temperature, *TEMPERATURE))
+            return frame_of(Kind.FEEDBACK, said.mode << 14 | said.faults << 8 | said.motor, host, data)
+        case Identity():
+            return frame_of(Kind.DEVICE_ID, said.motor, BROADCAST, said.uid.to_bytes(8, "little"))
+        case ParameterValue():
+            assert said.value is not None
+            return frame_of(Kind.READ, said.motor, host, parameter_bytes(said.index, said.value))
+        case FaultReport():
+            words = (said.faults, said.warnings)
+            return frame_of(Kind.FAULT, said.motor, host, b"".join(w.to_bytes(4, FAULT_ORDER) for w in words))

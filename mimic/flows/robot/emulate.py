@@ -20,7 +20,7 @@ from mimic.emulator.boards.board import EmulatedBoard
 from mimic.emulator.boards.board_base import TICK
 from mimic.emulator.boards.board_server import BoardServer
 from mimic.emulator.boards.go2 import EmulatedGo2
-from mimic.emulator.faults import BOARD_ONLY, CAN_KINDS, EmulatedFault, parse_fault, random_fault
+from mimic.emulator.faults import BOARD_ONLY, EmulatedFault, parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
 from mimic.errors import ConfigError
@@ -40,9 +40,6 @@ FRAME_INTERVAL = 1 / 30
 CLOSE_TIMEOUT = 5.0
 """Longest wait for the viewer's window to close [s]."""
 
-RANDOM_FAULT = (0.5, 8.0)
-"""A random fault begins this long after the first motor was switched on [s]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ServeOptions:
@@ -58,8 +55,6 @@ class ServeOptions:
     """Wiring file; by default the shipped one."""
     faults: Sequence[str] = ()
     """Faults to inject, KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]]."""
-    fault_seed: int | None = None
-    """Also inject a random fault, drawn with this seed."""
     seconds: float | None = None
     """End after this [s]; None serves until Ctrl-C or SIGTERM."""
     every: float = 10.0
@@ -165,7 +160,7 @@ _Made = tuple[Any, Sequence[EmulatedFault], Callable[[], Any]]
 
 def _on_can(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
     host, port = _address(options.listen)
-    faults = _faults(options, CAN_KINDS)
+    faults = [parse_fault(text) for text in options.faults]
     for fault in faults:
         if fault.kind in BOARD_ONLY:
             raise ConfigError(f"{fault.kind} is a fault of stock robots; add --board cyberdog2 or go2")
@@ -195,7 +190,7 @@ def _network(options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
 def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
     name = options.board or DEFAULT_ROBOT
     made, wiring, open_bus = _network(options)
-    faults = _faults(options, made.kinds)
+    faults = [parse_fault(text) for text in options.faults]
     board = made(
         load_robot(name if effects.robot_model == DEFAULT_ROBOT else effects.robot_model),
         wiring,
@@ -207,13 +202,6 @@ def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSet
     )
     address = f"{name} (on this computer: add --interface lo)"
     return board, faults, lambda: BoardServer(board, open_bus(), address)
-
-
-def _faults(options: ServeOptions, kinds: tuple[str, ...]) -> list[EmulatedFault]:
-    faults = [parse_fault(text) for text in options.faults]
-    if options.fault_seed is not None:
-        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=kinds))
-    return faults
 
 
 def _effects(effects: EffectsSettings, settings: EmulateSettings, reporter: Reporter) -> EffectSet | None:

@@ -17,7 +17,7 @@ from mimic.config.hardware import BusSettings
 from mimic.control.safety.safety_rules import RULES
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
-from mimic.emulator.motor_frames import encode_answer
+from mimic.emulator.motor import encode_answer
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, PlantError
 from mimic.flows.robot import commissioning

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mimic.emulator.motor_frames import encode_answer
+from mimic.emulator.motor import encode_answer
 from mimic.errors import ConfigError, FrameError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motors.cybergear.codec import (
