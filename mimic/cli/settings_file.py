@@ -21,7 +21,7 @@ from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.config.sysid import CalibrateSettings, LogSettings
-from mimic.config.values import expected, fitted, read_toml
+from mimic.config.values import expected, made, read_toml
 from mimic.errors import ConfigError
 
 SECTIONS: Mapping[str, type] = {
@@ -62,20 +62,8 @@ def read_settings(path: Path) -> Given:
             raise ConfigError(f"{path}: unknown {what}; sections are {', '.join(SECTIONS)}")
         if not isinstance(values, dict):
             raise ConfigError(f"{path}: {section} is {values!r}; expected a section [{section}]")
-        kind = SECTIONS[section]
-        hints = get_type_hints(kind)
-        names = [f.name for f in fields(kind)]
-        for key, value in values.items():
-            if key not in names:
-                raise ConfigError(f"{path}: [{section}] has no {key}; it has {', '.join(names)}")
-            try:
-                given.setdefault(section, {})[key] = fitted(value, hints[key])
-            except TypeError:
-                raise ConfigError(f"{path}: [{section}] {key} is {value!r}; expected {expected(hints[key])}") from None
-        try:
-            kind(**given.get(section, {}))
-        except ConfigError as reason:
-            raise ConfigError(f"{path}: [{section}] {reason}") from None
+        settings = made(SECTIONS[section], values, f"{path}: [{section}] ")
+        given[section] = {key: getattr(settings, key) for key in values}
     return given
 
 

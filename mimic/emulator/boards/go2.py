@@ -187,7 +187,7 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
         motors["lost"][wiring.index] = self._lost
         quat, omega, _ = self.orientation()
         imu = message["imu_state"]
-        imu["quaternion"][wiring.quat] = quat
+        imu["quaternion"][wiring.wxyz] = quat
         imu["gyroscope"] = omega
         imu["rpy"] = rpy_from_quat(np.asarray(quat))
         imu["accelerometer"] = rotation_from_quat(quat).T @ np.array([0.0, 0.0, 9.81])

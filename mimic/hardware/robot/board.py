@@ -163,7 +163,7 @@ class BoardReadings:
     def take_orientation(self, quat: FloatArray, omega: FloatArray, t: float) -> None:
         """Take a quaternion in the board's order (4,) and a rate of turn (3,) [rad/s], or count an error."""
         report = self.report
-        quat = quat[self._wiring.quat]
+        quat = quat[self._wiring.wxyz]
         length = float(np.linalg.norm(quat))
         if not (np.all(np.abs(omega) <= self._wiring.readings.turn_rate) and abs(length - 1.0) < 0.05):
             report["errors"] += 1
@@ -221,7 +221,7 @@ class BoardDriver:
         self._description = description
         self._limits = limits_for(description)
         self._joints = wiring
-        self._kd = min(description.kd_max, wiring.kd_max)
+        self._kd = min(description.kd_max, wiring.limits.kd)
         self.readings = readings
         self._foreign = NEVER
 
@@ -262,17 +262,17 @@ class BoardDriver:
         """
         if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
             raise FrameError("a command holds numbers that are not finite")
-        wiring = self._joints
+        limits = self._joints.limits
         report = self.report
         kp = command.kp
         kd = command.kd
-        if kp.max() > wiring.kp_max or kd.max() > wiring.kd_max:
+        if kp.max() > limits.kp or kd.max() > limits.kd:
             raise FrameError(
-                f"a command has Kp {kp.max():g} and Kd {kd.max():g}; {self.name} takes up to {wiring.kp_max:g} and "
-                f"{wiring.kd_max:g}"
+                f"a command has Kp {kp.max():g} and Kd {kd.max():g}; {self.name} takes up to {limits.kp:g} and "
+                f"{limits.kd:g}"
             )
         q, dq, tau = self._followed(command, kp, kd)
-        dq, tau = (np.clip(v, -most, most) for v, most in ((dq, wiring.velocity_max), (tau, wiring.torque_max)))
+        dq, tau = (np.clip(v, -most, most) for v, most in ((dq, limits.velocity), (tau, limits.torque)))
         self._send(q, dq, kp, kd, tau)
         report["q_sent"] = command.q_des
         report["kp_sent"] = kp

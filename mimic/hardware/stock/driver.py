@@ -26,7 +26,7 @@ from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.messages import MOTOR_CTRL, TIMED_OUT
 from mimic.hardware.stock.readings import Readings
 from mimic.hardware.stock.wiring import BoardWiring, load_board
-from mimic.records import JOINTS, FloatArray, JointCommand
+from mimic.records import JOINTS, LEGS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 
 CLEAR_TIMEOUT = 8.0
@@ -79,6 +79,7 @@ class StockDriver(BoardDriver):
         super().__init__(bus, wiring, description, readings, network=network, torque_limit=torque_limit)
         self._board = readings
         self._wiring = wiring
+        self._room = np.tile(wiring.limits.cut, len(LEGS)) - wiring.limits.cut_margin
         self._own: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._own_set: dict[bytes, int] = {}
         # tells own zero messages from others'; NumPy's generators take 40 ms to load, while a robot must be damped
@@ -160,7 +161,7 @@ class StockDriver(BoardDriver):
     def _followed(self, command: JointCommand, kp: FloatArray, kd: FloatArray) -> tuple[FloatArray, ...]:
         q = self.report["q"]
         target = command.q_des
-        room = self._wiring.cut - self._wiring.cut_margin
+        room = self._room
         near = np.where(np.isfinite(q), np.clip(target, q - room, q + room), target)
         rest = kp * (target - near)
         by_velocity = kd >= _SMALL_KD
