@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mimic.cli import options as o
+from mimic.cli.terminal.console import ConsoleReporter, table
 from mimic.cli.terminal.exit_status import DONE
 
 
@@ -48,7 +49,6 @@ def emulate(
     view
         Watch it in MuJoCo's viewer.
     """
-    from mimic.cli.terminal.console import ConsoleReporter, table
     from mimic.flows.robot.emulate import ServeOptions, serve_robot
 
     serve = ServeOptions(

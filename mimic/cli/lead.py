@@ -8,6 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from mimic.cli import options as o
+from mimic.cli.terminal.console import ConsoleReporter, note, table
 from mimic.cli.terminal.exit_status import DONE, STOPPED
 from mimic.config.leading import HandSettings, LeadingSettings
 
@@ -35,7 +36,6 @@ def lead(
     seed
         Seed of the initial state.
     """
-    from mimic.cli.terminal.console import ConsoleReporter, note, table
     from mimic.config.play import AS_DESCRIBED
     from mimic.flows.robot.lead import lead as run
 

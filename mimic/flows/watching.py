@@ -14,6 +14,12 @@ from mimic.config.hardware import LookSettings
 from mimic.errors import BusError
 from mimic.flows.play import load_robot, robot_on
 from mimic.geometry import rpy_from_quat
+from mimic.hardware.bus_lock import bus_lock
+from mimic.hardware.can.zeros import zero_problems
+from mimic.hardware.robot.board_wiring import BOARDS
+from mimic.hardware.robot.driver import SILENT, newest
+from mimic.hardware.robot.opening import open_driver
+from mimic.hardware.session import driver_settings, open_session
 from mimic.records import FloatArray
 
 if TYPE_CHECKING:
@@ -68,7 +74,6 @@ def watch_robot(
     Raises:
         AssetError, BusError, ConfigError, MissingExtra, PlantError: If it cannot be reached.
     """
-    from mimic.hardware.robot.driver import SILENT, newest
 
     description = load_robot(robot_on(bus_url))
     with (
@@ -113,18 +118,12 @@ def _shown_in(scene: bool | Path, show: Show, description: RobotDescription) -> 
 @contextmanager
 def _opened(bus_url: str, bus: LookSettings, description: RobotDescription) -> Iterator[Any]:
     """Open a robot to look at it, on CAN also beside another program."""
-    from mimic.hardware.robot.board_wiring import BOARDS
-    from mimic.hardware.session import driver_settings, open_session
 
     if bus_url in BOARDS:
-        from mimic.hardware.robot.opening import open_driver
-
         with closing(open_driver(driver_settings(bus_url, bus, description))) as board:
             yield board
         return
     from mimic.commissioning.watching import Watcher
-    from mimic.hardware.bus_lock import bus_lock
-    from mimic.hardware.can.zeros import zero_problems
 
     with ExitStack() as stack:
         try:

@@ -106,7 +106,7 @@ def test_it_ends_after_its_time_with_a_summary(capsys):
         (["--fault", "motor_sad"], "there is no fault 'motor_sad'"),
         (["--fault", "bus_off:bus3"], "is on bus 3"),
         (["--buses", "3"], "no line for 3 buses"),
-        (["--wiring", "nowhere.toml"], "nowhere.toml cannot be read"),
+        (["--wiring", "nowhere.toml"], "there is no wiring file nowhere.toml"),
         (["--effects", "nowhere.toml"], "nowhere.toml"),
         (["--placement", "2"], "placement is 2"),
         (["--timestep", "0.003"], "timestep is 0.003"),

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mimic.commissioning.scan import scan
+from mimic.commissioning.wire_check import WireCheck
 from mimic.config.hardware import WiringSettings
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.play import load_robot
+from mimic.hardware.can.other_programs import look_first
+from mimic.hardware.can.wiring import Wiring, load_wiring
+from mimic.hardware.robot.board_wiring import BOARDS
+from mimic.hardware.session import open_session, wiring_of
 from mimic.io import store
 from mimic.records import JOINTS
-
-if TYPE_CHECKING:
-    from mimic.hardware.can.wiring import Wiring
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,12 +51,6 @@ def wire_robot(
         PlantError: If a motion contradicts another one, or another program commands the motors.
         AssetError, BusError: If the buses cannot be opened, or the file cannot be written.
     """
-    from mimic.commissioning.scan import scan
-    from mimic.commissioning.wire_check import WireCheck
-    from mimic.hardware.can.other_programs import look_first
-    from mimic.hardware.can.wiring import load_wiring
-    from mimic.hardware.robot.board_wiring import BOARDS
-    from mimic.hardware.session import open_session, wiring_of
 
     if bus_url in BOARDS:
         raise ConfigError(f"{bus_url} is a stock robot, whose wiring is known; to look at it: mimic robot watch")
