@@ -14,33 +14,9 @@ from cyclopts import App, Parameter, Token
 from cyclopts.argument import Argument, ArgumentCollection
 from cyclopts.exceptions import UnknownOptionError
 
-from mimic.config.emulator import EmulateSettings
-from mimic.config.hardware import BusSettings, ProbeSettings
-from mimic.config.leading import HandSettings, LeadingSettings
-from mimic.config.play import EffectsSettings, RunSettings
-from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
-from mimic.config.retarget import RetargetSettings
-from mimic.config.sysid import CalibrateSettings, LogSettings
+from mimic.cli.options import SECTIONS
 from mimic.config.values import expected, made, read_toml
 from mimic.errors import ConfigError
-
-SECTIONS: Mapping[str, type] = {
-    "retarget": RetargetSettings,
-    "play": RunSettings,
-    "effects": EffectsSettings,
-    "pose": PoseSettings,
-    "mocap": MocapSettings,
-    "text": LanguageSettings,
-    "camera": LiveSettings,
-    "robot": BusSettings,
-    "probe": ProbeSettings,
-    "lead": HandSettings,
-    "answer": LeadingSettings,
-    "calibrate": CalibrateSettings,
-    "log": LogSettings,
-    "emulate": EmulateSettings,
-}
-"""Section of the file -> its settings."""
 
 Given = Mapping[str, Mapping[str, Any]]
 """Section -> setting -> value."""

@@ -11,6 +11,7 @@ from collections import deque
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.law import Law
@@ -77,7 +78,7 @@ class EmulatedBody:
             roll = float(p["base_tilt", "roll"][0, 0])
             pitch = float(p["base_tilt", "pitch"][0, 0])
             model.opt.gravity[:] = tilted_gravity(np.array([roll]), np.array([pitch]))[0]
-            self._quat = _tilt(roll, pitch)
+            self._quat = Rotation.from_euler("xy", [roll, pitch]).as_quat(scalar_first=True)
         self.data = mujoco.MjData(model)
         self._rng = np.random.default_rng([seed, 17])
         self._order: IntArray = np.arange(12)
@@ -272,12 +273,3 @@ class EmulatedBody:
         if self.model.nq == 12:
             return self._quat, np.zeros(3)
         return self.data.qpos[3:7].copy(), self.data.qvel[3:6].copy()
-
-
-def _tilt(roll: float, pitch: float) -> FloatArray:
-    """Return the orientation of a trunk turned about x by roll, then about y by pitch [rad]."""
-    about_x = np.array([np.cos(roll / 2), np.sin(roll / 2), 0.0, 0.0])
-    about_y = np.array([np.cos(pitch / 2), 0.0, np.sin(pitch / 2), 0.0])
-    quat = np.zeros(4)
-    mujoco.mju_mulQuat(quat, about_y, about_x)
-    return quat

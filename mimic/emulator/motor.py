@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass, field
-from enum import IntFlag
 from typing import NamedTuple
 
 from mimic.errors import FrameError
@@ -61,26 +60,13 @@ TIMEOUT_TICK = 50e-6
 """Unit of CAN_TIMEOUT in firmware that supports it [s]: that of the successor family (20000 = 1 s)."""
 
 
-class DetailedFault(IntFlag):
-    """Faults in a fault report; manual 4.1.14. The manual does not say more about the eight bits of overload."""
-
-    OVER_TEMPERATURE = 1 << 0
-    DRIVER_CHIP = 1 << 1
-    UNDER_VOLTAGE = 1 << 2
-    OVER_VOLTAGE = 1 << 3
-    PHASE_B_OVER_CURRENT = 1 << 4
-    PHASE_C_OVER_CURRENT = 1 << 5
-    NOT_CALIBRATED = 1 << 7
-    OVERLOAD = 0xFF << 8
-    PHASE_A_OVER_CURRENT = 1 << 16
-
-
-_DETAIL = {
-    Fault.UNDER_VOLTAGE: DetailedFault.UNDER_VOLTAGE,
-    Fault.OVER_CURRENT: DetailedFault.PHASE_A_OVER_CURRENT,
-    Fault.OVER_TEMPERATURE: DetailedFault.OVER_TEMPERATURE,
-    Fault.NOT_CALIBRATED: DetailedFault.NOT_CALIBRATED,
+DETAIL = {
+    Fault.UNDER_VOLTAGE: 1 << 2,
+    Fault.OVER_CURRENT: 1 << 16,  # of phase A
+    Fault.OVER_TEMPERATURE: 1 << 0,
+    Fault.NOT_CALIBRATED: 1 << 7,
 }
+"""Bits of a fault report; manual 4.1.14. It has none of an encoder, whose faults only the feedback reports."""
 
 
 class Drive(NamedTuple):
@@ -274,12 +260,10 @@ class EmulatedMotor:
         if now == self._reported:
             return None
         self._reported = now
-        detail = DetailedFault(0)
-        for fault, named in _DETAIL.items():
-            detail |= named if fault in self.faults else DetailedFault(0)
+        detail = sum(bit for fault, bit in DETAIL.items() if fault in self.faults)
         if self.faults and not detail:
-            return None  # such as an encoder's, which only the feedback reports
-        said = FaultReport(motor=self.id, faults=int(detail), warnings=int(now[1]))
+            return None
+        said = FaultReport(motor=self.id, faults=detail, warnings=int(now[1]))
         return MotorMessage(said, self.host)
 
 

@@ -10,7 +10,7 @@ import pytest
 from lab.in_process.can_link import EmulatedLink
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.motor import ROTOR_TURN, DetailedFault
+from mimic.emulator.motor import DETAIL, ROTOR_TURN
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import CanFrame, Received
@@ -377,9 +377,9 @@ def test_a_deaf_motor_goes_on(bench):
 @pytest.mark.parametrize(
     ("fault", "bit", "detail"),
     [
-        ("motor_hot:FL_knee=90@0.5-0.6", Fault.OVER_TEMPERATURE, DetailedFault.OVER_TEMPERATURE),
-        ("under_voltage=14@0.5-0.6", Fault.UNDER_VOLTAGE, DetailedFault.UNDER_VOLTAGE),
-        ("motor_fault:FL_knee=2@0.5-0.6", Fault.OVER_CURRENT, DetailedFault.PHASE_A_OVER_CURRENT),
+        ("motor_hot:FL_knee=90@0.5-0.6", Fault.OVER_TEMPERATURE, DETAIL[Fault.OVER_TEMPERATURE]),
+        ("under_voltage=14@0.5-0.6", Fault.UNDER_VOLTAGE, DETAIL[Fault.UNDER_VOLTAGE]),
+        ("motor_fault:FL_knee=2@0.5-0.6", Fault.OVER_CURRENT, DETAIL[Fault.OVER_CURRENT]),
     ],
 )
 def test_a_fault_switches_the_motor_off_until_it_is_cleared(fault, bit, detail, bench):

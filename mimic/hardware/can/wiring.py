@@ -114,20 +114,19 @@ class Wiring:
         return {(int(bus), int(motor)): j for j, (bus, motor) in enumerate(zip(self.bus, self.motor, strict=True))}
 
 
-def load_wiring(path: Path | None = None, *, buses: int = 1, robot: str = "cyberdog2") -> Wiring:
+def load_wiring(path: Path | None = None, *, buses: int = 1) -> Wiring:
     """Read the wiring of a robot.
 
     Args:
         path: File; None takes the one that ships with the robot.
         buses: Number of buses.
-        robot: Robot whose shipped file is read if no path is given.
 
     Raises:
         AssetError: If there is no such file.
         ConfigError: If it is not TOML or not consistent: an unknown maker, a missing joint, an id given twice, no
             layout for so many buses.
     """
-    path = shipped("assets", robot, "bus.toml") if path is None else path
+    path = shipped("assets", "cyberdog2", "bus.toml") if path is None else path
     if not path.is_file():
         raise AssetError(f"there is no wiring file {path}")
     file = read_made(_File, path)
