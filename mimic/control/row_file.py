@@ -94,10 +94,9 @@ def read_rows(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     try:
         head = from_json(line)
         layout = _layout(head["shapes"])
-        known = head["form"] == _FORM
+        if head["form"] != _FORM:
+            raise ValueError
     except (ValueError, KeyError, TypeError, AttributeError):
-        known = False
-    if not known:
-        raise AssetError(f"{path} does not hold rows of a run; expected a file that begins with {_FORM!r}")
+        raise AssetError(f"{path} does not hold rows of a run; expected one that begins with {_FORM!r}") from None
     table = np.frombuffer(numbers, layout, len(numbers) // layout.itemsize)
     return {name: table[name] for name in layout.names or ()}, dict(head["metadata"])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from mimic.config.ranges import Limited, within
+from mimic.config.ranges import Limited, required
 from mimic.config.values import read_made
 from mimic.errors import AssetError, ConfigError
 from mimic.hardware.motors.interface import MotorProtocol
@@ -52,7 +52,7 @@ class _Motor(Limited):
 
     motor: int
     sign: float
-    offset: float = within(MISSING, -1e3, 1e3, "rad")
+    offset: float = required(-1e3, 1e3, "rad")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class _File(Limited):
     """What a file holds."""
 
     motor: str = DEFAULT_MAKER
-    bitrate: int = within(MISSING, 10_000, 1_000_000)
+    bitrate: int = required(10_000, 1_000_000)
     host: int
     position_range: float
     layout: Mapping[str, tuple[int, ...]]

@@ -29,7 +29,7 @@ from mimic.hardware.go2.messages import (
     encode,
 )
 from mimic.hardware.go2.wiring import Go2Wiring, load_go2
-from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, PERIOD, BoardDriver, BoardReadings
+from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, PERIOD, BoardDriver
 from mimic.hardware.robot.checks import LYING_TOLERANCE, Check
 from mimic.hardware.robot.driver import CheckOptions, DriverSettings
 from mimic.records import JOINTS, FloatArray, JointCommand
@@ -97,7 +97,7 @@ class Go2Driver(BoardDriver):
         torque_limit: float | None = None,
     ) -> None:
         """Take an open bus; nothing is sent. See `mimic.hardware.robot.board.BoardDriver`."""
-        super().__init__(bus, wiring, description, BoardReadings(wiring), network=network, torque_limit=torque_limit)
+        super().__init__(bus, wiring, description, network=network, torque_limit=torque_limit)
         self._dds = bus
         self._wiring = wiring
         self.mode: str | None = None
@@ -146,10 +146,10 @@ class Go2Driver(BoardDriver):
         report = self.report
         motors = message["motor_state"][: len(JOINTS)]
         report["heard"] = t
-        self.readings.joints += 1
+        self.joint_messages += 1
         came = np.array(report["came"])
         lost = motors["lost"].astype(np.int64)[wiring.index]
-        taken = self.readings.take_motors(
+        taken = self._take_motors(
             wiring.angles(motors["q"]),
             wiring.joints(motors["dq"]),
             wiring.joints(motors["tau_est"]),
@@ -165,12 +165,12 @@ class Go2Driver(BoardDriver):
             report["running"] = serves if self._says_mode else True
             report["voltage"] = float(message["power_v"]) if message["power_v"] > 1.0 else np.nan
         imu = message["imu_state"]
-        self.readings.take_orientation(imu["quaternion"].astype(np.float64), imu["gyroscope"].astype(np.float64), t)
+        self._take_orientation(imu["quaternion"].astype(np.float64), imu["gyroscope"].astype(np.float64), t)
         self._modes = motors["mode"][wiring.index]
 
     def counts(self) -> dict[str, int]:
         """Return how many messages came so far."""
-        return {LOWSTATE: self.readings.joints, "orientation": int(self.report["imu_count"])}
+        return {LOWSTATE: self.joint_messages, "orientation": int(self.report["imu_count"])}
 
     # ------------------------------------------------------------------ its own mode, and other programs
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
-from mimic.config.ranges import within
+from mimic.config.ranges import required
 from mimic.hardware.robot.board_wiring import JointWiring, read_board
 
 
@@ -13,7 +13,7 @@ from mimic.hardware.robot.board_wiring import JointWiring, read_board
 class Go2Wiring(JointWiring):
     """Domain, order and signs of a Go2. Joint arrays are (12,) in the order of JOINTS."""
 
-    domain: int = within(MISSING, 0, 230)
+    domain: int = required(0, 230)
     """Of DDS."""
     motion_switcher: bool
     """Whether it has the service that releases its sport mode; a simulator may have none."""

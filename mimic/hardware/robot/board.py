@@ -115,68 +115,6 @@ class Bus:
         raise NotImplementedError
 
 
-class BoardReadings:
-    """The newest readings of a board.
-
-    Readings count from when their messages came: the robot's own clock may be set at any time, and is not used.
-    """
-
-    def __init__(self, wiring: JointWiring) -> None:
-        self._wiring = wiring
-        self.report: Any = no_report()
-        """Newest readings; a scalar of REPORT."""
-        self.report["err_flag"] = NO_ERR_FLAG
-        self.joints = 0
-        """Messages with joint angles so far."""
-
-    def take_joints(self, q: FloatArray, dq: FloatArray) -> bool:
-        """Take angles (12,) [rad] and velocities (12,) [rad/s], if joints can have them; else count an error."""
-        ranges = self._wiring.readings
-        if not bool(np.all(np.abs(q) <= ranges.angle) and np.all(np.abs(dq) <= ranges.velocity)):  # false for NaN
-            self.report["errors"] += 1
-            return False
-        self.report["q"] = q
-        self.report["dq"] = dq
-        return True
-
-    def take_motors(self, q: FloatArray, dq: FloatArray, tau: FloatArray, temperature: FloatArray, t: float) -> bool:
-        """Take a full set of readings (12,) that came at time t [s], if motors can have them; else count an error."""
-        report = self.report
-        (coldest, warmest) = self._wiring.readings.temperature
-        if not (
-            np.all(np.abs(tau) <= self._wiring.readings.torque)
-            and temperature.min() >= coldest
-            and temperature.max() <= warmest
-        ):
-            report["errors"] += 1
-            return False
-        if not self.take_joints(q, dq):
-            return False
-        if report["readings"]:
-            report["round_trip"] = t - float(report["came"].max())
-        report["tau"] = tau
-        report["temperature"] = temperature
-        report["came"] = t
-        report["readings"] += 1
-        return True
-
-    def take_orientation(self, quat: FloatArray, omega: FloatArray, t: float) -> None:
-        """Take a quaternion in the board's order (4,) and a rate of turn (3,) [rad/s], or count an error."""
-        report = self.report
-        quat = quat[self._wiring.wxyz]
-        length = float(np.linalg.norm(quat))
-        if not (np.all(np.abs(omega) <= self._wiring.readings.turn_rate) and abs(length - 1.0) < 0.05):
-            report["errors"] += 1
-            return
-        quat = quat / length
-        if not (np.array_equal(quat, report["quat_WB"]) and np.array_equal(omega, report["omega_B"])):
-            report["imu_changed"] = t
-        report["quat_WB"] = quat
-        report["omega_B"] = omega
-        report["imu_came"] = t
-        report["imu_count"] += 1
-
-
 class BoardDriver:
     """What a `mimic.hardware.robot.driver.Driver` of any board does; `start`, `_send` and `end` are its own."""
 
@@ -192,7 +130,6 @@ class BoardDriver:
         bus: Bus,
         wiring: JointWiring,
         description: RobotDescription,
-        readings: BoardReadings,
         *,
         network: str,
         torque_limit: float | None,
@@ -203,7 +140,6 @@ class BoardDriver:
             bus: The network.
             wiring: Of the board.
             description: The robot; its largest velocity gain damps.
-            readings: Takes its messages.
             network: How messages leave this computer, in words.
             torque_limit: Refused if below the motors' own: a board has no such limit.
 
@@ -220,15 +156,15 @@ class BoardDriver:
         bus.heard = self.heard
         self._description = description
         self._limits = limits_for(description)
-        self._joints = wiring
+        self._order = wiring
         self._kd = min(description.kd_max, wiring.limits.kd)
-        self.readings = readings
         self._foreign = NEVER
-
-    @property
-    def report(self) -> Any:
-        """Newest readings; a scalar of REPORT."""
-        return self.readings.report
+        self.report: Any = no_report()
+        """Newest readings; a scalar of REPORT. They count from when their messages came: the robot's own clock may be
+        set at any time, and is not used."""
+        self.report["err_flag"] = NO_ERR_FLAG
+        self.joint_messages = 0
+        """Messages with joint angles so far."""
 
     def now(self) -> float:
         """Return the time of the messages [s]."""
@@ -237,6 +173,53 @@ class BoardDriver:
     def heard(self, channel: str, data: bytes, t: float) -> None:
         """Take a message that arrived at time t [s]."""
         raise NotImplementedError
+
+    def _take_joints(self, q: FloatArray, dq: FloatArray) -> bool:
+        """Take angles (12,) [rad] and velocities (12,) [rad/s], if joints can have them; else count an error."""
+        ranges = self._order.readings
+        if not bool(np.all(np.abs(q) <= ranges.angle) and np.all(np.abs(dq) <= ranges.velocity)):  # false for NaN
+            self.report["errors"] += 1
+            return False
+        self.report["q"] = q
+        self.report["dq"] = dq
+        return True
+
+    def _take_motors(self, q: FloatArray, dq: FloatArray, tau: FloatArray, temperature: FloatArray, t: float) -> bool:
+        """Take a full set of readings (12,) that came at time t [s], if motors can have them; else count an error."""
+        report = self.report
+        (coldest, warmest) = self._order.readings.temperature
+        if not (
+            np.all(np.abs(tau) <= self._order.readings.torque)
+            and temperature.min() >= coldest
+            and temperature.max() <= warmest
+        ):
+            report["errors"] += 1
+            return False
+        if not self._take_joints(q, dq):
+            return False
+        if report["readings"]:
+            report["round_trip"] = t - float(report["came"].max())
+        report["tau"] = tau
+        report["temperature"] = temperature
+        report["came"] = t
+        report["readings"] += 1
+        return True
+
+    def _take_orientation(self, quat: FloatArray, omega: FloatArray, t: float) -> None:
+        """Take a quaternion in the board's order (4,) and a rate of turn (3,) [rad/s], or count an error."""
+        report = self.report
+        quat = quat[self._order.wxyz]
+        length = float(np.linalg.norm(quat))
+        if not (np.all(np.abs(omega) <= self._order.readings.turn_rate) and abs(length - 1.0) < 0.05):
+            report["errors"] += 1
+            return
+        quat = quat / length
+        if not (np.array_equal(quat, report["quat_WB"]) and np.array_equal(omega, report["omega_B"])):
+            report["imu_changed"] = t
+        report["quat_WB"] = quat
+        report["omega_B"] = omega
+        report["imu_came"] = t
+        report["imu_count"] += 1
 
     def listen(self, until: float, wake: int | None = None) -> bool:
         """Take what comes until a time [s], or until something is to be read from a descriptor."""
@@ -262,7 +245,7 @@ class BoardDriver:
         """
         if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
             raise FrameError("a command holds numbers that are not finite")
-        limits = self._joints.limits
+        limits = self._order.limits
         report = self.report
         kp = command.kp
         kd = command.kd

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from mimic.config.ranges import Limited, within
+from mimic.config.ranges import Limited, required
 from mimic.config.values import read_made
 from mimic.errors import AssetError, ConfigError
 from mimic.io.assets import shipped
@@ -29,20 +29,20 @@ ByPart = tuple[float, float, float]
 class CommandRanges(Limited):
     """Largest numbers of a command."""
 
-    kp: float = within(MISSING, 1e-3, 500.0, "N m/rad")
-    kd: float = within(MISSING, 1e-3, 500.0, "N m s/rad")
-    velocity: float = within(MISSING, 1e-3, 500.0, "rad/s")
-    torque: float = within(MISSING, 1e-3, 500.0, "N m")
+    kp: float = required(1e-3, 500.0, "N m/rad")
+    kd: float = required(1e-3, 500.0, "N m s/rad")
+    velocity: float = required(1e-3, 500.0, "rad/s")
+    torque: float = required(1e-3, 500.0, "N m")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingRanges(Limited):
     """Ranges outside of which a reading is that of a damaged message; from minus to plus where there is one number."""
 
-    angle: float = within(MISSING, 1e-3, 1e3, "rad")
-    velocity: float = within(MISSING, 1e-3, 1e3, "rad/s")
-    torque: float = within(MISSING, 1e-3, 1e3, "N m")
-    turn_rate: float = within(MISSING, 1e-3, 1e3, "rad/s")
+    angle: float = required(1e-3, 1e3, "rad")
+    velocity: float = required(1e-3, 1e3, "rad/s")
+    torque: float = required(1e-3, 1e3, "N m")
+    turn_rate: float = required(1e-3, 1e3, "rad/s")
     """Of the base about each axis."""
     temperature: tuple[float, float]
     """Lowest and highest [degC]."""

@@ -18,13 +18,23 @@ from typing import Any
 
 import numpy as np
 
-from mimic.errors import PlantError
+from mimic.errors import FrameError, PlantError
 from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, NO_ERR_FLAG, BoardDriver, Bus
+from mimic.hardware.robot.board_wiring import PARTS
 from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import DriverSettings
+from mimic.hardware.robot.driver import NEVER, DriverSettings
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
-from mimic.hardware.stock.messages import MOTOR_CTRL, TIMED_OUT
-from mimic.hardware.stock.readings import Readings
+from mimic.hardware.stock.messages import (
+    LEG_CONTROL_DATA,
+    MOTOR_CTRL,
+    MOTOR_CTRL_STATE,
+    MOTOR_ERRORS,
+    MOTOR_RUNNING,
+    SPI_DATA,
+    STATE_ESTIMATOR,
+    TIMED_OUT,
+    TYPES,
+)
 from mimic.hardware.stock.wiring import BoardWiring, load_board
 from mimic.records import JOINTS, LEGS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
@@ -75,10 +85,10 @@ class StockDriver(BoardDriver):
         torque_limit: float | None = None,
     ) -> None:
         """Take an open bus; nothing is sent. See `mimic.hardware.robot.board.BoardDriver`."""
-        readings = Readings(wiring)
-        super().__init__(bus, wiring, description, readings, network=network, torque_limit=torque_limit)
-        self._board = readings
+        super().__init__(bus, wiring, description, network=network, torque_limit=torque_limit)
         self._wiring = wiring
+        self.commanded = NEVER
+        """When the board last spoke of the commands that it gets [s]."""
         self._room = np.tile(wiring.limits.cut, len(LEGS)) - wiring.limits.cut_margin
         self._own: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._own_set: dict[bytes, int] = {}
@@ -86,12 +96,63 @@ class StockDriver(BoardDriver):
         self._tag = np.array([random.uniform(-0.05, 0.05) for _ in JOINTS])
 
     def heard(self, channel: str, data: bytes, t: float) -> None:
-        """Take a message that arrived at time t [s]."""
-        if channel != MOTOR_CTRL.channel:
-            self._board.take(channel, data, t)
-        elif data not in self._own_set:
-            self.report["foreign"] += 1
-            self._foreign = t
+        """Take a message that arrived at time t [s].
+
+        One that cannot be read, or has numbers outside of the wiring's ranges, is left out and counted.
+        """
+        report = self.report
+        if channel == MOTOR_CTRL.channel:
+            if data not in self._own_set:
+                report["foreign"] += 1
+                self._foreign = t
+            return
+        try:
+            message = TYPES[channel].decode(data)
+        except FrameError:
+            report["errors"] += 1
+            return
+        report["heard"] = t
+        if channel == SPI_DATA.channel:
+            self._take_spi(message, t)
+        elif channel == LEG_CONTROL_DATA.channel:
+            self._take_legs(message)
+        elif channel == STATE_ESTIMATOR.channel:
+            quat = message["quat"].astype(np.float64)
+            omega = message["omegaBody"].astype(np.float64)
+            self._take_orientation(quat, omega, t)
+        elif channel == MOTOR_CTRL_STATE.channel:
+            self._take_state(message, t)
+
+    def _take_state(self, message: Any, t: float) -> None:
+        report = self.report
+        interval = float(message["ctrl_topic_interval"])
+        if not np.isfinite(interval):
+            report["errors"] += 1
+            return
+        report["err_flag"] = int(message["err_flag"]) & 0xFFFF
+        self.commanded = t
+        report["gap"] = 1e-3 * interval
+
+    def _take_spi(self, message: Any, t: float) -> None:
+        wiring = self._wiring
+        report = self.report
+
+        def by_leg(name: str) -> Any:
+            return np.stack([message[f"{name}_{part}"] for part in PARTS], axis=1).reshape(len(JOINTS))
+
+        q = wiring.angles(by_leg("q"))
+        dq = wiring.joints(by_leg("qd"))
+        tau = wiring.joints(by_leg("tau"))
+        temperature = wiring.temperature_unit * by_leg("tmp").astype(np.float64)[wiring.index]
+        if self._take_motors(q, dq, tau, temperature, t):
+            flags = message["flags"].astype(np.int64)[wiring.index] & 0xFFFFFFFF
+            report["faults"] = flags & MOTOR_ERRORS
+            report["running"] = flags >> 30 == MOTOR_RUNNING
+
+    def _take_legs(self, message: Any) -> None:
+        self.joint_messages += 1
+        if not self.report["readings"]:
+            self._take_joints(self._wiring.angles(message["q"]), self._wiring.joints(message["qd"]))
 
     asleep = (
         "is it switched on and awake, the cable in, this computer at the wiring's address, and developer access "
@@ -100,7 +161,7 @@ class StockDriver(BoardDriver):
 
     def counts(self) -> dict[str, int]:
         """Return how many messages with joints and with orientations came so far."""
-        return {"leg_control_data": self.readings.joints, "state_estimator": int(self.report["imu_count"])}
+        return {"leg_control_data": self.joint_messages, "state_estimator": int(self.report["imu_count"])}
 
     def _own_notes(self) -> list[str]:
         """Return whether it is in motor mode."""
@@ -130,7 +191,7 @@ class StockDriver(BoardDriver):
         """
         began = self.now()
         self._await(
-            lambda: self._board.commanded > began,
+            lambda: self.commanded > began,
             ENTER_TIMEOUT,
             self._zero,
             "the robot does not enter motor mode, which it does only from lying, switched off or damped. It hears no "

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
-from mimic.config.ranges import within
+from mimic.config.ranges import required
 from mimic.errors import ConfigError
 from mimic.hardware.robot.board_wiring import ByPart, CommandRanges, JointWiring, read_board
 
@@ -17,7 +17,7 @@ class StockRanges(CommandRanges):
 
     cut: ByPart
     """Largest distance of a desired position from the measured one that the firmware lets pass [rad]."""
-    cut_margin: float = within(MISSING, 0.0, 1.0, "rad")
+    cut_margin: float = required(0.0, 1.0, "rad")
     """Distance that mimic keeps from it."""
 
     def __post_init__(self) -> None:
@@ -32,11 +32,11 @@ class BoardWiring(JointWiring):
 
     address: str
     """Multicast group."""
-    port: int = within(MISSING, 1, 0xFFFF)
-    state_port: int = within(MISSING, 1, 0xFFFF)
+    port: int = required(1, 0xFFFF)
+    state_port: int = required(1, 0xFFFF)
     """Of the orientation."""
-    ttl: int = within(MISSING, 0, 255)
-    temperature_unit: float = within(MISSING, 1e-6, 1e3, "degC")
+    ttl: int = required(0, 255)
+    temperature_unit: float = required(1e-6, 1e3, "degC")
     limits: StockRanges
 
     def __post_init__(self) -> None:
