@@ -20,7 +20,6 @@ def emulate(
     fault: tuple[str, ...] = (),
     seconds: float | None = None,
     every: float = 10.0,
-    view: Annotated[bool, o.Flag] = False,
     settings: o.Emulate = None,
     robot: o.Effects = None,
 ) -> int:
@@ -46,8 +45,6 @@ def emulate(
         End after this time [s]; default: at Ctrl-C.
     every
         Interval of the status lines [s]; 0 for none.
-    view
-        Watch it in MuJoCo's viewer.
     """
     from mimic.flows.robot.emulate import ServeOptions, serve_robot
 
@@ -59,7 +56,6 @@ def emulate(
         faults=fault,
         seconds=seconds,
         every=every,
-        view=view,
         board=board,
     )
     served = serve_robot(serve, settings, robot, reporter=ConsoleReporter())

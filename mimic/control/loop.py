@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import count
 
@@ -31,7 +31,6 @@ from mimic.records import (
     PHASES,
     Command,
     CommandTrack,
-    FloatArray,
     HealthLog,
     JointSamples,
     LiveCommands,
@@ -249,8 +248,5 @@ def _damp(run: Run) -> None:
 def _joined(samples: list[JointSamples]) -> JointSamples | None:
     if not samples:
         return None
-
-    def whole(name: str) -> FloatArray:
-        return np.concatenate([getattr(part, name) for part in samples])
-
-    return JointSamples(t=whole("t"), q=whole("q"), dq=whole("dq"), tau=whole("tau"), q_des=whole("q_des"))
+    names = [f.name for f in fields(JointSamples)]
+    return JointSamples(**{name: np.concatenate([getattr(part, name) for part in samples]) for name in names})

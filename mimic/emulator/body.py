@@ -39,7 +39,6 @@ class EmulatedBody:
         timestep: float = 0.0025,
         placement: float = 0.0,
         seed: int = 0,
-        visuals: bool = False,
     ) -> None:
         """Put the robot down; it sinks from its folded legs, as without power.
 
@@ -51,7 +50,6 @@ class EmulatedBody:
             timestep: Of the physics [s].
             placement: Joints are placed as far as this from the folded pose, before it sinks [rad].
             seed: Draws the placement, late and lost commands.
-            visuals: Keep the shapes that are only looked at.
 
         Raises:
             ConfigError: If the effects are not of this robot, or of a stand and it does not hang.
@@ -68,7 +66,7 @@ class EmulatedBody:
         )
         delays = [np.broadcast_to(p.pop(key, none)[0], 12) for key in (("delay", "time"), ("joint_delay", "time"))]
         self._delay = delays[0] + delays[1]
-        self.model = machine.model if suspended else load_model(d, visuals=visuals, driven=True)
+        self.model = machine.model if suspended else load_model(d, visuals=False, driven=True)
         model = self.model
         model.opt.timestep = timestep
         model.dof_solref[-12:] = [SOLREF_STEPS * timestep, 1.0]

@@ -70,7 +70,6 @@ class EmulatedRobot:
         effects: EffectSet | None = None,
         faults: Sequence[EmulatedFault] = (),
         timestep: float = 0.0025,
-        visuals: bool = False,
     ) -> None:
         """Switch the robot on.
 
@@ -81,7 +80,6 @@ class EmulatedRobot:
             effects: Hidden effects of its drives, links and encoders.
             faults: Scheduled faults; more by `inject`.
             timestep: Of the physics [s]; no more than SUSPENDED_TIMESTEP for a robot that hangs.
-            visuals: Keep the visual shapes.
 
         Raises:
             ConfigError: If the effects are not of this robot, or the bus of a fault does not exist.
@@ -98,7 +96,6 @@ class EmulatedRobot:
             timestep=min(timestep, SUSPENDED_TIMESTEP) if s.suspended else timestep,
             placement=s.placement,
             seed=s.seed,
-            visuals=visuals,
         )
         self.buses = [EmulatedBus(wiring.bitrate) for _ in range(wiring.buses)]
         self.imu = EmulatedMti(wiring.imu, noise=s.imu_noise, seed=s.seed)

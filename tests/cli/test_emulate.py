@@ -117,14 +117,6 @@ def test_what_it_cannot_do_it_says(arguments, says, capsys):
     assert says in " ".join(capsys.readouterr().err.split())
 
 
-def test_without_a_display_there_is_nothing_to_watch(monkeypatch, capsys):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(sys, "platform", "linux")
-    assert main(["emulate", "--listen", "127.0.0.1:0", "--seconds", "0", "--view"]) == 2
-    assert "needs a display" in capsys.readouterr().err
-
-
 def test_a_stand_is_left_out_on_the_floor_and_said_so(tmp_path: Path, capsys):
     effects = tmp_path / "effects.toml"
     effects.write_text('[[effect]]\nname = "base_tilt"\nrole = "fixed"\nroll = [0.0]\npitch = [0.1]\nsource = "test"\n')

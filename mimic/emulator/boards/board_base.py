@@ -65,7 +65,6 @@ class NetworkBoard(Generic[W]):
         effects: EffectSet | None = None,
         faults: Sequence[EmulatedFault] = (),
         timestep: float = TICK,
-        visuals: bool = False,
     ) -> None:
         """Switch it on.
 
@@ -76,7 +75,6 @@ class NetworkBoard(Generic[W]):
             effects: What its drives have besides.
             faults: What goes wrong.
             timestep: Of the physics [s].
-            visuals: Keep the shapes that are only looked at.
 
         Raises:
             ConfigError: If a fault does not exist on this robot.
@@ -95,7 +93,6 @@ class NetworkBoard(Generic[W]):
             timestep=timestep,
             placement=settings.placement,
             seed=settings.seed,
-            visuals=visuals,
         )
         self.body.release()
         self.body.miswire(*miswiring(faults), np.zeros(len(JOINTS)))

@@ -204,16 +204,9 @@ class Robot:
         report = self.report
         nothing = np.full(3, np.nan)
         said = report["came"] > since
-        return RobotState(
-            t=self._ended - self._began,
-            q=np.where(said, report["q"], np.nan),
-            dq=np.where(said, report["dq"], np.nan),
-            tau=np.where(said, report["tau"], np.nan),
-            quat_WB=np.array(report["quat_WB"]),
-            omega_B=np.array(report["omega_B"]),
-            p_WB=nothing,
-            v_WB=nothing,
-        )
+        joints: dict[str, Any] = {name: np.where(said, report[name], np.nan) for name in ("q", "dq", "tau")}
+        base: dict[str, Any] = {name: np.array(report[name]) for name in ("quat_WB", "omega_B")}
+        return RobotState(t=self._ended - self._began, **joints, **base, p_WB=nothing, v_WB=nothing)
 
     def _health(self, compute: float, late: float, now: float, t: float) -> Health:
         report = self.report
@@ -242,13 +235,9 @@ class Robot:
         rows = self._samples
         if not rows:
             return None
-        return JointSamples(
-            t=np.array([float(row["came"].max()) - self._began for row in rows]),
-            q=np.array([row["q"] for row in rows]),
-            dq=np.array([row["dq"] for row in rows]),
-            tau=np.array([row["tau"] for row in rows]),
-            q_des=np.repeat(sent.position_target()[None], len(rows), axis=0),
-        )
+        readings: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in ("q", "dq", "tau")}
+        t = np.array([float(row["came"].max()) - self._began for row in rows])
+        return JointSamples(t=t, **readings, q_des=np.repeat(sent.position_target()[None], len(rows), axis=0))
 
     def load(self) -> FloatArray:
         """Return the share of time that each bus was busy since the start (buses,); empty for a motion board."""
