@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from mimic.control.safety.safety_rules import FAILURE, SUSPENDED_RULES
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.signals import Signals
+from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.errors import PlantError
 from mimic.geometry import smoothstep
 from mimic.hardware.can.load import expected_load
@@ -29,6 +31,7 @@ from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.robot.plant import Robot
 from mimic.io.joint_log import JointLog
 from mimic.records import JOINTS, FloatArray, JointCommand
+from mimic.robot.description import RobotDescription
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,13 +121,10 @@ class _Rows:
         self._signals = signals
         self._settings = settings
         self._wiring = wiring
-        self._columns: dict[str, list[FloatArray | float]] = {
-            name: [] for name in ("t", "q", "dq", "tau", "q_des", "receive", "temperature", "voltage")
-        }
-        self._row: tuple[float, FloatArray] | None = None
-        """The row whose answers may still come: its time [s] and the targets that were sent (12,) [rad]."""
-        self._busy: list[tuple[float, FloatArray]] = []
-        """Time and how long each bus was busy so far [s], at the first recorded row and at the last."""
+        self._asked: tuple[float, FloatArray] | None = None
+        """When commands were sent whose answers may still come [s], and the targets that were sent (12,) [rad]."""
+        self._rows: list[tuple[float, FloatArray, Any]] = []
+        """The same of each recorded row, and the report after it."""
         self.t = 0.0
         """Time of the plant [s]."""
 
@@ -140,7 +140,7 @@ class _Rows:
         command = JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros)
         tick = robot.step(command, 1.0 / settings.rate_hz)
         self.t = tick.state.t
-        self._row = (asked, tick.sent.q_des) if keep else None
+        self._asked = (asked, tick.sent.q_des) if keep else None
         report = StepReport(
             state=tick.state,
             health=tick.health,
@@ -157,49 +157,37 @@ class _Rows:
     def end(self) -> None:
         """Record the row of the last commands; no more answers can belong to it."""
         self._robot.look()
-        if self._row is None:
-            return
-        asked, sent = self._row
-        self._row = None
-        report = self._robot.report
-        came = report["came"] > asked  # others are delayed by a row or more
-        row = (
-            asked,
-            *(np.where(came, report[name], np.nan) for name in ("q", "dq", "tau")),
-            sent,
-            np.where(came, report["came"], np.nan),
-            np.array(report["temperature"]),
-            float(report["voltage"]),
-        )
-        for column, value in zip(self._columns.values(), row, strict=True):
-            column.append(value)
-        self._busy = [*self._busy[:1], (float(report["t"]), np.array(report["busy"]))]
+        if self._asked is not None:
+            self._rows.append((*self._asked, self._robot.report))
+        self._asked = None
 
     def result(self) -> ProbeResult:
-        columns = {name: np.array(values) for name, values in self._columns.items()}
         ended = self._supervisor.decisive
-        if len(columns["t"]) < 2:
+        if len(self._rows) < 2:
             raise PlantError(f"nothing was measured: {'it ended at once' if ended is None else ended.text}")
-        begin = columns["t"][0]
         settings = self._settings
-        t = columns["t"] - begin
         wiring = self._wiring
+        asked = np.array([row[0] for row in self._rows])
+        reports = np.array([row[2] for row in self._rows])
+        came = reports["came"] > asked[:, None]  # others are delayed by a row or more
+        q, dq, tau, receive = (np.where(came, reports[name], np.nan) for name in ("q", "dq", "tau", "came"))
+        t = asked - asked[0]
         extra: dict[str, FloatArray] = {}
-        if np.isfinite(columns["voltage"]).any():
-            extra["voltage"] = _first_known(columns["voltage"])
+        if np.isfinite(reports["voltage"]).any():
+            extra["voltage"] = _first_known(reports["voltage"])
         for joint, name in enumerate(JOINTS):
             extra[f"t_send.{name}"] = t
-            extra[f"t_receive.{name}"] = columns["receive"][:, joint] - begin
-            extra[f"temperature.{name}"] = columns["temperature"][:, joint]
-            extra[f"tau_now.{name}"] = columns["tau"][:, joint]
-        missing = float(np.isnan(columns["q"]).mean())
+            extra[f"t_receive.{name}"] = receive[:, joint] - asked[0]
+            extra[f"temperature.{name}"] = reports["temperature"][:, joint]
+            extra[f"tau_now.{name}"] = tau[:, joint]
+        missing = float(np.isnan(q).mean())
         middle = 0.0 if wiring is None else wiring.sign * wiring.motors().facts.position_bias
         log = JointLog(
             joints=JOINTS,
             t=t,
-            q=columns["q"] + middle,
-            dq=columns["dq"],
-            q_des=columns["q_des"],
+            q=q + middle,
+            dq=dq,
+            q_des=np.array([row[1] for row in self._rows]),
             extra=extra,
             metadata={
                 "kp": settings.kp,
@@ -212,8 +200,7 @@ class _Rows:
             },
         )
         expected = np.zeros(0) if wiring is None else expected_load(wiring, settings.rate_hz)
-        (start, before), (stop, after) = self._busy
-        load = (after - before) / (stop - start)
+        load = (reports["busy"][-1] - reports["busy"][0]) / (reports["t"][-1] - reports["t"][0])
         load = load[np.isfinite(load)]
         return ProbeResult(log=log, ended=ended, missing=missing, load=load, expected=expected)
 
@@ -224,3 +211,30 @@ def _first_known(values: FloatArray) -> FloatArray:
     if not len(known):
         return values
     return np.concatenate([np.full(known[0], values[known[0]]), values[known[0] :]])
+
+
+def probe_motion(description: RobotDescription, settings: ProbeSettings) -> FloatArray:
+    """Return targets (T, 12) [rad] inside the ranges in which no leg can touch anything."""
+    return probe_targets(
+        *hung_ranges(description),
+        seconds=settings.seconds,
+        rate_hz=settings.rate_hz,
+        seed=settings.seed,
+        kind=settings.kind,
+        size=settings.amplitude,
+    ).q_des
+
+
+def recorded_motion(t: FloatArray, q: FloatArray, description: RobotDescription, settings: ProbeSettings) -> FloatArray:
+    """Return the targets (T, 12) [rad] of a recorded run, inside the ranges of the suspended robot.
+
+    Args:
+        t: Times of the targets, increasing [s].
+        q: Targets (ticks, 12) [rad].
+        description: The robot.
+        settings: Rate and length; a shorter recording is repeated.
+    """
+    low, high, _ = hung_ranges(description)
+    span = float(t[-1] - t[0])
+    at = t[0] + np.arange(round(settings.seconds * settings.rate_hz)) / settings.rate_hz % span
+    return np.clip(np.stack([np.interp(at, t, column) for column in q.T], -1), low, high)

@@ -8,8 +8,7 @@ import pytest
 from lab.in_process.board_bus import EmulatedBoardBus
 from lab.in_process.can_link import EmulatedLink
 from lab.in_process.sender_link import EmulatedSenderLink, robot_on_can
-from mimic.commissioning.probe import probe
-from mimic.commissioning.probe_motion import probe_motion, recorded_motion
+from mimic.commissioning.probe import probe, probe_motion, recorded_motion
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import ProbeSettings
 from mimic.config.sysid import CalibrateSettings

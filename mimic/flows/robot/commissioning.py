@@ -188,8 +188,7 @@ def probe_robot(
     Raises:
         PlantError, BusError, ConfigError, AssetError: If something stands against it.
     """
-    from mimic.commissioning.probe import probe
-    from mimic.commissioning.probe_motion import probe_motion, recorded_motion
+    from mimic.commissioning.probe import probe, probe_motion, recorded_motion
 
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
