@@ -12,7 +12,7 @@ word stands for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.signals import Signals
 from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.errors import PlantError
+from mimic.frozen import frozen_arrays
 from mimic.geometry import smoothstep
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.wiring import Wiring
@@ -34,7 +35,7 @@ from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class ProbeResult:
     """The result of probing."""
 

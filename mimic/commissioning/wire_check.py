@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from mimic.commissioning.scan import BusScan
 from mimic.commissioning.watching import Watcher
 from mimic.errors import PlantError
+from mimic.frozen import frozen
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.robot.driver import newest
@@ -60,7 +61,7 @@ def instruction(joint: str) -> str:
     return MOTIONS[part].format(leg=_LEGS[leg])
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Moved:
     """A motor that was moved by hand."""
 

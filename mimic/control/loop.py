@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from itertools import count
 
@@ -23,6 +23,7 @@ from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.start import start
 from mimic.control.tick import Run, Safety, Sink
 from mimic.errors import ContractError, PlantError, SenderError
+from mimic.frozen import frozen_arrays
 from mimic.geometry import heading_from_quat
 from mimic.io.store import plain
 from mimic.policy.contract import ObservationBuilder, PolicyContract
@@ -41,7 +42,7 @@ from mimic.robot.description import RobotDescription
 SIT_DOWN, DAMP = (PHASES.index(name) for name in ("sit_down", "damp"))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class RunResult:
     """Outcome of a run."""
 

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from mimic.errors import ConfigError
+from mimic.frozen import frozen
 from mimic.records import JOINTS, FloatArray, IntArray
 
 
@@ -97,7 +98,7 @@ def miswiring(faults: Iterable[EmulatedFault]) -> tuple[IntArray, FloatArray]:
     return order, sign
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class EmulatedFault:
     """One fault on the schedule."""
 

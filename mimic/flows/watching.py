@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from mimic.config.hardware import LookSettings
 from mimic.errors import BusError
 from mimic.flows.play import load_robot, robot_on
+from mimic.frozen import frozen_arrays
 from mimic.geometry import rpy_from_quat
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.zeros import zero_problems
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mimic.robot.description import RobotDescription
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Watched:
     """What a robot says at one moment."""
 

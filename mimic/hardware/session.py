@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 
 from mimic.config.hardware import DriveSettings, LookSettings, WiringSettings
 from mimic.config.ranges import check_range
 from mimic.control.priority import LOOP, real_time
 from mimic.errors import ConfigError, PlantError
+from mimic.frozen import frozen_arrays
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.open_driver import open_buses
@@ -30,7 +30,7 @@ Report = Callable[[list[Check]], None]
 """Receives the results of the pre-flight."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class BusSession:
     """The open buses of a robot on CAN that nobody drives."""
 

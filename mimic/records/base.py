@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mimic.errors import ContractError
+from mimic.frozen import frozen_arrays
 from mimic.records.table import ShownAsTable
 
 FloatArray = NDArray[np.floating[Any]]
@@ -138,7 +139,7 @@ class Record(ShownAsTable):
         return AXES.get(axis)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Provenance:
     """Where a stored record came from."""
 

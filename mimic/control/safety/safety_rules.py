@@ -10,6 +10,7 @@ import numpy as np
 
 from mimic.control.safety.safety_limits import Limits
 from mimic.control.safety.step_history import MOVING, STANDING, StepHistory, StepReport
+from mimic.frozen import frozen
 from mimic.geometry import up_cosine
 from mimic.metrics import uprightness
 from mimic.records import DOUBLED, JOINTS, PHASES
@@ -37,7 +38,7 @@ class Alert:
 Check = Callable[[StepReport, StepHistory, Limits], Iterator[Alert]]
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Rule:
     """A row of the table in docs/manual/robot.md."""
 

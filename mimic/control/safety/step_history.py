@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mimic.control.safety.safety_limits import Limits
 from mimic.dynamics.thermal import MotorHeat
+from mimic.frozen import frozen_arrays
 from mimic.geometry import rotation_from_quat
 from mimic.records import JOINTS, PHASES, FloatArray, Health, RobotState
 from mimic.robot.description import RobotDescription
@@ -22,7 +22,7 @@ MOVING = ("stand_up", *STANDING, "sit_down")
 """Phases in which a policy moves it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class StepReport:
     """What a supervisor sees of a control step."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +14,7 @@ from mimic.flows.play import load_robot, robot_on
 from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.robot.operator import Operator, undisturbed
 from mimic.flows.run_folder import LOG
+from mimic.frozen import frozen_arrays
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.other_programs import look_first, others
 from mimic.hardware.can.preflight import at_rest
@@ -60,7 +60,7 @@ def scan_robot(bus_url: str, bus: WiringSettings | None = None) -> tuple[list[Bu
         return seen, robot.wiring, wiring_problems(seen, robot.wiring)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Zeroed:
     """Zeros that were set."""
 

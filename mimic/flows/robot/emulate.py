@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from mimic.emulator.server import EmulatorServer
 from mimic.errors import ConfigError
 from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, reporting
+from mimic.frozen import frozen
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.go2.dds_bus import DdsBus
 from mimic.hardware.go2.dds_bus import check_network as check_go2_network
@@ -34,7 +34,7 @@ from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.wiring import load_board
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ServeOptions:
     """Where and how long the robot is served."""
 
@@ -56,7 +56,7 @@ class ServeOptions:
     """Stock robot to serve, cyberdog2 or go2; None serves motors on CAN."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Served:
     """What was served."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,12 @@ from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.config.play import AS_DESCRIBED, EffectsSettings
 from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, reporting
+from mimic.frozen import frozen_arrays
 from mimic.io import store
 from mimic.records import RunLog
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Led:
     """How a robot was led."""
 

@@ -7,7 +7,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.robot.operator import Operator, undisturbed
 from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
+from mimic.frozen import frozen_arrays
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.step_budget import PARTS
 from mimic.hardware.hold_to_run import Hold, await_hold, hold_to_run
@@ -47,7 +48,7 @@ WARM_UP = 20
 """Inferences of a policy before the robot moves, so that the first ones are not slow."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class RobotRun:
     """A run on a real robot."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from mimic.commissioning.wire_check import WireCheck
 from mimic.config.hardware import WiringSettings
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.play import load_robot
+from mimic.frozen import frozen_arrays
 from mimic.hardware.can.other_programs import look_first
 from mimic.hardware.can.wiring import Wiring, load_wiring
 from mimic.hardware.robot.board_wiring import BOARDS
@@ -21,7 +22,7 @@ from mimic.io import store
 from mimic.records import JOINTS
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Wired:
     """A wiring that was found by hand."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from mimic.config.ranges import Limited, required
 from mimic.config.values import read_made
 from mimic.errors import AssetError, ConfigError
+from mimic.frozen import frozen, frozen_arrays
 from mimic.hardware.motors.interface import MotorProtocol
 from mimic.hardware.motors.makers import make_motors
 from mimic.io.assets import shipped
@@ -24,7 +24,7 @@ IMU_MESSAGES = ("quaternion", "rate_of_turn", "group_counter", "status_word", "s
 """Messages that an IMU may send."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class ImuWiring:
     """Where the IMU is and what it sends."""
 
@@ -36,7 +36,7 @@ class ImuWiring:
     """Messages per second of each kind [Hz]."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class _Imu:
     """The same in a file."""
 
@@ -46,7 +46,7 @@ class _Imu:
     rate: Mapping[str, float]
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class _Motor(Limited):
     """A line of the table of joints."""
 
@@ -55,7 +55,7 @@ class _Motor(Limited):
     offset: float = required(-1e3, 1e3, "rad")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class _File(Limited):
     """What a file holds."""
 
@@ -68,7 +68,7 @@ class _File(Limited):
     imu: _Imu
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Wiring:
     """Which motor moves which joint. Joint arrays are (12,) in the order of JOINTS."""
 

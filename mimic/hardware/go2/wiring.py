@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from mimic.config.ranges import required
+from mimic.frozen import frozen_arrays
 from mimic.hardware.robot.board_wiring import JointWiring, read_board
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Go2Wiring(JointWiring):
     """Domain, order and signs of a Go2. Joint arrays are (12,) in the order of JOINTS."""
 

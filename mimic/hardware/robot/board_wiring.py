@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,6 +12,7 @@ import numpy as np
 from mimic.config.ranges import Limited, required
 from mimic.config.values import read_made
 from mimic.errors import AssetError, ConfigError
+from mimic.frozen import frozen, frozen_arrays
 from mimic.io.assets import shipped
 from mimic.records import JOINTS, LEGS, FloatArray, IntArray
 
@@ -25,7 +25,7 @@ ByPart = tuple[float, float, float]
 """A number for each of PARTS."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class CommandRanges(Limited):
     """Largest numbers of a command."""
 
@@ -35,7 +35,7 @@ class CommandRanges(Limited):
     torque: float = required(1e-3, 500.0, "N m")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ReadingRanges(Limited):
     """Ranges outside of which a reading is that of a damaged message; from minus to plus where there is one number."""
 
@@ -54,7 +54,7 @@ class ReadingRanges(Limited):
             raise ConfigError(f"temperature is {list(self.temperature)}; expected the lowest, then the highest")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class JointWiring(Limited):
     """The file of a board: order, signs and ranges. Joint arrays are (12,) in the order of JOINTS."""
 

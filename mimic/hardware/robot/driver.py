@@ -6,11 +6,11 @@ its own: `mimic.hardware.robot.sender` says when to send what.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
+from mimic.frozen import frozen
 from mimic.hardware.robot.checks import Check
 from mimic.records import JOINTS, JointCommand
 
@@ -91,7 +91,7 @@ def newest(report: Any, since: float) -> Any:
     return report
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class CheckOptions:
     """What the pre-flight needs to know of the run."""
 
@@ -183,7 +183,7 @@ class Driver(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class DriverSettings:
     """What it takes to open the driver of a robot, in any process."""
 

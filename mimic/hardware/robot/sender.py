@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ import numpy as np
 
 from mimic.control.safety.safety_limits import limits_for
 from mimic.errors import FrameError, MimicError
+from mimic.frozen import frozen_arrays
 from mimic.hardware.robot.driver import Driver
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
@@ -64,7 +65,7 @@ class State(IntEnum):
     """Nothing any more."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Order:
     """What the control loop wants of the joints."""
 

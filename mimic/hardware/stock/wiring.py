@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass
 from pathlib import Path
 
 from mimic.config.ranges import required
 from mimic.errors import ConfigError
+from mimic.frozen import frozen, frozen_arrays
 from mimic.hardware.robot.board_wiring import ByPart, CommandRanges, JointWiring, read_board
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class StockRanges(CommandRanges):
     """Ranges of a command, and how far a desired position may be from the measured one."""
 
@@ -26,7 +26,7 @@ class StockRanges(CommandRanges):
             raise ConfigError(f"cut_margin is {self.cut_margin:g} rad; expected less than each cut: {self.cut}")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class BoardWiring(JointWiring):
     """Addresses, order and signs of a board. Joint arrays are (12,) in the order of JOINTS."""
 

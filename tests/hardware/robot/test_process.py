@@ -328,7 +328,7 @@ def test_a_computer_that_has_slept_damps_the_robot(motors, description, monkeypa
     ("settings", "expected"),
     [
         ({"bus_url": "socketcand://127.0.0.1:9/can0"}, "nobody listens"),
-        ({"bus_url": "can0", "wiring": "/nowhere/bus.toml"}, "cannot be read"),
+        ({"bus_url": "can0", "wiring": "/nowhere/bus.toml"}, "there is no wiring file"),
         ({"bus_url": "cyberdog2", "interface": "eth99"}, "there is no network interface 'eth99'"),
     ],
 )

@@ -21,6 +21,7 @@ from enum import IntEnum, IntFlag
 from typing import Literal
 
 from mimic.errors import ConfigError, FrameError, UnknownFrame
+from mimic.frozen import frozen
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorCommand, MotorMode
 
@@ -167,7 +168,7 @@ class HostMessage:
     """Number to WRITE; 1 where a STOP clears faults."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class ParameterValue:
     """Answers READ.
 
@@ -189,7 +190,7 @@ class MotorMessage:
     host: int = DEFAULT_HOST
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class Codec:
     """Messages to frames and back."""
 
