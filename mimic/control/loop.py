@@ -249,5 +249,7 @@ def _damp(run: Run) -> None:
 def _joined(samples: list[JointSamples]) -> JointSamples | None:
     if not samples:
         return None
-    names = [f.name for f in fields(JointSamples)]
-    return JointSamples(**{name: np.concatenate([getattr(part, name) for part in samples]) for name in names})
+    columns = {}
+    for f in fields(JointSamples):
+        columns[f.name] = np.concatenate([getattr(part, f.name) for part in samples])
+    return JointSamples(**columns)

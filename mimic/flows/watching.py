@@ -11,7 +11,7 @@ import numpy as np
 
 from mimic.config.hardware import LookSettings
 from mimic.errors import BusError
-from mimic.flows.play import load_robot, robot_on
+from mimic.flows.play import robot_on
 from mimic.frozen import frozen_arrays
 from mimic.geometry import rpy_from_quat
 from mimic.hardware.bus_lock import bus_lock
@@ -75,7 +75,7 @@ def watch_robot(
         AssetError, BusError, ConfigError, MissingExtra, PlantError: If it cannot be reached.
     """
 
-    description = load_robot(robot_on(bus_url))
+    description = robot_on(bus_url)
     with (
         _shown_in(scene, show, description) as show_all,
         _opened(bus_url, bus or LookSettings(), description) as driver,

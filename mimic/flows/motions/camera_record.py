@@ -68,8 +68,9 @@ class CameraRecord:
         if len(rows) < 2:
             return None
         t = np.array([row.t for row in rows]) - zero
-        names = ("landmarks", "image", "score", "valid", "depth_spread", "swapped")
-        columns: dict[str, Any] = {name: np.array([getattr(row, name) for row in rows]) for name in names}
+        columns: dict[str, Any] = {}
+        for name in ("landmarks", "image", "score", "valid", "depth_spread", "swapped"):
+            columns[name] = np.array([getattr(row, name) for row in rows])
         track = PoseTrack(t=t, size=rows[-1].size, **columns)
         return replace(track, warnings=self._warnings(track))
 

@@ -117,7 +117,7 @@ def damp_robot(bus_url: str, bus: LookSettings | None = None) -> tuple[bool, str
         ConfigError, AssetError, BusError: If the buses cannot be opened, or take no frames.
     """
 
-    description = load_robot(robot_on(bus_url))
+    description = robot_on(bus_url)
     if bus_url == "go2":  # what it does with the last command is not published
         with open_robot(bus_url, bus or LookSettings(), description) as board, undisturbed():
             mode = getattr(board, "ask_mode", str)()
@@ -139,7 +139,7 @@ def check_robot(bus_url: str, bus: LookSettings | None = None, *, suspended: boo
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
 
-    description = load_robot(robot_on(bus_url))
+    description = robot_on(bus_url)
     with open_robot(bus_url, bus or LookSettings(), description) as driver:
         return driver.checks(CheckOptions(rate_hz=1.0 / description.dt, suspended=suspended))
 
@@ -197,7 +197,7 @@ def probe_robot(
     operator = operator or Operator()
     reporter = reporting(reporter)
     store.check_writable(out.parent)
-    description = load_robot(robot_on(bus_url))
+    description = robot_on(bus_url)
     signals = Signals()
     if motion is None:
         targets = probe_motion(description, settings)

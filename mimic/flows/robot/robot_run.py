@@ -26,7 +26,7 @@ from mimic.errors import AssetError, MimicError, PlantError
 from mimic.flows.motions.camera import camera_name, follow_camera
 from mimic.flows.motions.camera_record import CameraRecord
 from mimic.flows.motions.motion import InputSettings, Motion
-from mimic.flows.play import load_robot, load_source, play, robot_on
+from mimic.flows.play import load_source, play, robot_on
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.robot.operator import Operator, undisturbed
@@ -136,7 +136,7 @@ def play_on_robot(
         run = replace(run, hold_position=False)  # feet that a rope relieves say nothing of the way
     operator = operator or Operator()
     reporter = reporting(reporter)
-    description = load_robot(robot_on(bus_url))
+    description = robot_on(bus_url)
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = _motion(source, settings, policy, reporter)

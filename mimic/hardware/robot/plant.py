@@ -235,7 +235,9 @@ class Robot:
         rows = self._samples
         if not rows:
             return None
-        readings: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in ("q", "dq", "tau")}
+        readings: dict[str, Any] = {}
+        for name in ("q", "dq", "tau"):
+            readings[name] = np.array([row[name] for row in rows])
         t = np.array([float(row["came"].max()) - self._began for row in rows])
         return JointSamples(t=t, **readings, q_des=np.repeat(sent.position_target()[None], len(rows), axis=0))
 
