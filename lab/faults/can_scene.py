@@ -14,14 +14,13 @@ from lab.in_process.can_link import EmulatedLink
 from lab.in_process.sender_link import EmulatedSenderLink
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import EmulatedFault
-from mimic.emulator.motor_frames import encode_answer
+from mimic.emulator.motor import encode_answer
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, FrameError
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.frame import CanFrame, Received
 from mimic.hardware.can.wiring import load_wiring
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind, MotorMessage
 from mimic.hardware.motors.interface import Feedback, MotorCommand, MotorMode
 from mimic.hardware.robot.plant import Robot
 from mimic.records import JOINTS, JointCommand, Tick
@@ -223,7 +222,9 @@ class CanScene:
         kind, trouble = self.trouble.kind, self.trouble
         if (kind in UNREACHABLE or kind.startswith("master_")) and t >= trouble.begin:
             return max(t, trouble.end)
-        return max([t, *(fault.until for fault in self.robot.faults if fault.kind in CUTS and fault.start <= t)])
+        return max(
+            [t, *(fault.until for fault in self.robot.schedule.faults if fault.kind in CUTS and fault.start <= t)]
+        )
 
     def false_line(self) -> bool:
         """Return whether the last line asks for the power of a robot that is off and can be reached and heard."""

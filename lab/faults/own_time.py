@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from lab.faults.can_scene import CanScene
+from lab.faults.drawn import random_fault
 from lab.faults.stock_scene import Go2Scene, StockScene
 from lab.faults.trouble import CASES, cases, stood
 from mimic.config.play import RunSettings
@@ -22,7 +23,7 @@ from mimic.control.recorder import RunRecorder, salvage
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.signals import Signals
 from mimic.control.tick import Safety
-from mimic.emulator.faults import MISWIRED, EmulatedFault, random_fault
+from mimic.emulator.faults import MISWIRED, EmulatedFault
 from mimic.errors import MimicError
 from mimic.evaluation.policy import command_script
 from mimic.policy.runtime import load_policy

@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 
 from lab.faults.can_scene import CUTS
+from lab.faults.drawn import random_fault
 from lab.faults.proxies import LcmProxy, TcpProxy, wiring_through
 from lab.faults.trouble import CASES, logged, stood
 from mimic.control.recorder import ROWS, salvage
-from mimic.emulator.faults import EmulatedFault, random_fault
+from mimic.emulator.faults import EmulatedFault
 from mimic.hardware.can.opening import open_link
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind
 from mimic.hardware.motors.interface import MotorCommand
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.io import store

@@ -126,7 +126,7 @@ class BoardScene:
         if self.trouble.kind in OBEYS and t >= self.trouble.begin:
             return max(t, self.trouble.end)
         cuts = ("bus_off", "frames_lost", "frames_late", "frames_corrupted")
-        ends = [fault.until for fault in self.board.faults if fault.kind in cuts and fault.start <= t]
+        ends = [fault.until for fault in self.board.schedule.faults if fault.kind in cuts and fault.start <= t]
         return max([t, *ends])
 
     def reachable(self) -> bool:

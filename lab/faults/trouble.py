@@ -13,7 +13,7 @@ import numpy as np
 from mimic.control.recorder import salvage
 from mimic.emulator.boards.board import FAULTS as BOARD_FAULTS
 from mimic.emulator.boards.go2 import FAULTS as GO2_FAULTS
-from mimic.emulator.faults import CAN_KINDS, KINDS
+from mimic.emulator.faults import CAN_KINDS
 from mimic.errors import MimicError
 from mimic.io import store
 from mimic.metrics import standing
@@ -99,7 +99,7 @@ CASES: dict[str, Case] = {
 _OF_ROBOTS = {"can": CAN_KINDS, "stock": BOARD_FAULTS, "go2": GO2_FAULTS}
 for _kind in dict.fromkeys([*CAN_KINDS, *BOARD_FAULTS, *GO2_FAULTS]):
     _own = " ".join(robot for robot, kinds in _OF_ROBOTS.items() if _kind in kinds)
-    CASES[_kind] = Case("robot", _own, "can" if _kind in CAN_KINDS else "", KINDS[_kind].text)
+    CASES[_kind] = Case("robot", _own, "can" if _kind in CAN_KINDS else "", "as the manual of the robot says")
 
 
 def cases(robot: str, setting: str) -> tuple[str, ...]:

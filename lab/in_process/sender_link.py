@@ -18,7 +18,7 @@ LONGEST_ENDING = 60.0
 
 
 class EmulatedSenderLink:
-    """A `mimic.hardware.robot.process.SenderLink` without a process: waiting advances the emulated robot."""
+    """A `mimic.hardware.robot.process.SenderProcess` without a process: waiting advances the emulated robot."""
 
     def __init__(self, driver: Driver, description: RobotDescription) -> None:
         """Connect a sender to the driver of an emulated robot."""

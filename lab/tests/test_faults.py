@@ -5,11 +5,15 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
+from lab.faults.drawn import random_fault
 from lab.faults.own_time import RAMP, play
 from lab.faults.trouble import CASES, cases
 from mimic.control.start import start_seconds
+from mimic.emulator.faults import CAN_KINDS, MISWIRED, parse_fault
 
 STANDS = 1.7 + start_seconds(RAMP, 0.02, tested=False)
 """When the robot stands [s]: ramp, a second to stand up, half a second of blending, and .2."""
@@ -68,3 +72,19 @@ def test_each_robot_has_cases_of_every_place_but_its_own_absent_ones(setting):
     for robot in robots:
         places = {CASES[name].place for name in cases(robot, setting)}
         assert {"messages", "second program", "this program", "process"} <= places
+
+
+def test_a_seed_draws_a_fault_that_can_be_written_down_and_all_kinds_come_up():
+    drawn = [random_fault(seed, start=(1.0, 3.0)) for seed in range(400)]
+    assert drawn == [random_fault(seed, start=(1.0, 3.0)) for seed in range(400)]
+    assert {fault.kind for fault in drawn} == set(CAN_KINDS) - set(MISWIRED), (
+        "what is there from power-up on is not drawn"
+    )
+    assert {fault.joint for fault in drawn} == {None, *range(12)}
+    assert any(math.isinf(fault.until) for fault in drawn)
+    assert any(math.isfinite(fault.until) for fault in drawn)
+    for fault in drawn:
+        assert 1.0 <= fault.start <= 3.0
+        again = parse_fault(str(fault))
+        assert (again.kind, again.joint, again.bus) == (fault.kind, fault.joint, fault.bus)
+        assert again.start == pytest.approx(fault.start, rel=1e-4)

@@ -23,8 +23,7 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.hardware.can.frame import CanFrame, Link
 from mimic.hardware.can.opening import open_link
 from mimic.hardware.can.wiring import Wiring, load_wiring
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind, MotorMessage
 from mimic.hardware.motors.interface import Feedback, MotorCommand
 from mimic.robot.description import load_description
 

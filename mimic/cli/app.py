@@ -126,7 +126,6 @@ COMMANDS = {
         "Lead a simulated robot by the hand.",
         "mimic lead --direction 30 --video lead.mp4",
         "mimic lead --toe right --most 6 --speed 0.15",
-        "mimic lead --interactive",
     ),
     "evaluate": (
         "mimic.cli.evaluate:evaluate",

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mimic.cli import options as o
+from mimic.cli.terminal.console import ConsoleReporter, table
 from mimic.cli.terminal.exit_status import DONE
 
 
@@ -17,10 +18,8 @@ def emulate(
     buses: int = 1,
     wiring: Path | None = None,
     fault: tuple[str, ...] = (),
-    fault_seed: int | None = None,
     seconds: float | None = None,
     every: float = 10.0,
-    view: Annotated[bool, o.Flag] = False,
     settings: o.Emulate = None,
     robot: o.Effects = None,
 ) -> int:
@@ -42,16 +41,11 @@ def emulate(
     fault
         Faults to inject: KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5, in seconds of the
         emulation, or with + since the first motor was switched on. An unknown kind prints the list.
-    fault_seed
-        Also inject a random fault, drawn with this seed.
     seconds
         End after this time [s]; default: at Ctrl-C.
     every
         Interval of the status lines [s]; 0 for none.
-    view
-        Watch it in MuJoCo's viewer.
     """
-    from mimic.cli.terminal.console import ConsoleReporter, table
     from mimic.flows.robot.emulate import ServeOptions, serve_robot
 
     serve = ServeOptions(
@@ -60,10 +54,8 @@ def emulate(
         buses=buses,
         wiring=wiring,
         faults=fault,
-        fault_seed=fault_seed,
         seconds=seconds,
         every=every,
-        view=view,
         board=board,
     )
     served = serve_robot(serve, settings, robot, reporter=ConsoleReporter())

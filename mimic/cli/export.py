@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from mimic.cli import options as o
+from mimic.cli.terminal.console import ConsoleReporter, table
 from mimic.cli.terminal.exit_status import DONE
 from mimic.config.play import DEFAULT_ROBOT
 
@@ -40,7 +41,6 @@ def export(
     robot_model
         Robot of a policy.
     """
-    from mimic.cli.terminal.console import ConsoleReporter, table
     from mimic.flows.export import export as write
 
     if form in ("rl_sar", "unitree_rl_lab"):

@@ -8,6 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from mimic.cli import options as o
+from mimic.cli.terminal.console import ConsoleReporter, note, table
 from mimic.cli.terminal.exit_status import DONE, STOPPED
 from mimic.config.leading import HandSettings, LeadingSettings
 
@@ -15,7 +16,6 @@ from mimic.config.leading import HandSettings, LeadingSettings
 def lead(
     *,
     video: Annotated[Path | None, Parameter(group=o.OUTPUT)] = None,
-    interactive: Annotated[bool, o.Flag] = False,
     policy: str | None = None,
     seed: int = 0,
     hand: Annotated[HandSettings | None, Parameter(name="*", group="Hand")] = None,
@@ -28,20 +28,15 @@ def lead(
     ----------
     video
         Also write a video that shows the pull (.mp4).
-    interactive
-        Open MuJoCo's viewer: double-click a front leg, then drag it with Ctrl and the right mouse button.
     policy
         ONNX file of a policy that stands and walks; default: the shipped one.
     seed
         Seed of the initial state.
     """
-    from mimic.cli.terminal.console import ConsoleReporter, note, table
     from mimic.config.play import AS_DESCRIBED
     from mimic.flows.robot.lead import lead as run
 
     hand = hand or HandSettings()
-    if interactive:
-        note("double-click a front leg, then drag it with Ctrl and the right mouse button; close the window to end")
     led = run(
         hand,
         answer,
@@ -49,20 +44,18 @@ def lead(
         robot=robot or AS_DESCRIBED,
         seed=seed,
         film=video,
-        interactive=interactive,
         reporter=ConsoleReporter(),
     )
     if led.fell_at is not None:
         note(f"the robot fell {led.fell_at:.1f} s after the start")
-    if led.figures:
-        f = led.figures
-        rows = {
-            "way": f"{f['way_m']:.1f} m of {hand.way:g} m in the hand's direction" if "way_m" in f else "-",
-            "followed the hand": "yes" if f["followed"] else "no",
-            "stopped when let go": "yes" if f["stopped"] else "no",
-            "pull": f"{f['pull_mean_n']:.1f} N mean, {f['pull_max_n']:.1f} N most",
-        }
-        table(f"Led by the {hand.toe} front toe, {hand.direction:g} deg, at {hand.speed:g} m/s", rows)
+    f = led.figures
+    rows = {
+        "way": f"{f['way_m']:.1f} m of {hand.way:g} m in the hand's direction" if "way_m" in f else "-",
+        "followed the hand": "yes" if f["followed"] else "no",
+        "stopped when let go": "yes" if f["stopped"] else "no",
+        "pull": f"{f['pull_mean_n']:.1f} N mean, {f['pull_max_n']:.1f} N most",
+    }
+    table(f"Led by the {hand.toe} front toe, {hand.direction:g} deg, at {hand.speed:g} m/s", rows)
     if video is not None:
         note(f"wrote {video}")
     return DONE if led.fell_at is None else STOPPED

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,7 @@ from mimic.config.hardware import (
     ProbeSettings,
     WiringSettings,
 )
+from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
@@ -77,3 +79,21 @@ Probe = Annotated[ProbeSettings | None, _group("Motion", 2)]
 Calibrate = Annotated[CalibrateSettings | None, _group("Calibration", 2)]
 SimulatedLog = Annotated[LogSettings | None, _group("Readings", 3)]
 Emulate = Annotated[EmulateSettings | None, _group("Emulated robot", 2)]
+
+SECTIONS: Mapping[str, type] = {
+    "retarget": RetargetSettings,
+    "play": RunSettings,
+    "effects": EffectsSettings,
+    "pose": PoseSettings,
+    "mocap": MocapSettings,
+    "text": LanguageSettings,
+    "camera": LiveSettings,
+    "robot": BusSettings,
+    "probe": ProbeSettings,
+    "lead": HandSettings,
+    "answer": LeadingSettings,
+    "calibrate": CalibrateSettings,
+    "log": LogSettings,
+    "emulate": EmulateSettings,
+}
+"""Section of the file -> its settings."""

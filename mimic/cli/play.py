@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from mimic.cli import options as o
+from mimic.cli.terminal.console import ConsoleReporter, note, table, warn
 from mimic.cli.terminal.exit_status import DONE
 from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ConfigError
@@ -95,7 +96,6 @@ def play(
         return _play_camera(camera, settings, live=live, run=run, model=model, out=out, view=view)
     if source is None and text is None:
         raise ConfigError("say what to play: a file, --text with a sentence, or --camera 0")
-    from mimic.cli.terminal.console import ConsoleReporter
     from mimic.cli.terminal.rows import show_simulated
     from mimic.flows.play import play_source
 
@@ -122,7 +122,6 @@ def _check_robot(sim: bool, robot: str | None, bus: o.Bus, model: o.Effects) -> 
 
 def _show_plan(sentence: str | None, settings: InputSettings, model: o.Effects) -> int:
     """Print how a sentence is understood."""
-    from mimic.cli.terminal.console import ConsoleReporter
     from mimic.flows.motions.motion import motion_from_text
     from mimic.flows.play import load_robot
 
@@ -159,7 +158,6 @@ def _play_camera(
     out: Path | None,
     view: bool | None,
 ) -> int:
-    from mimic.cli.terminal.console import ConsoleReporter, warn
     from mimic.cli.terminal.rows import show_simulated
     from mimic.flows.motions.camera import play_camera
     from mimic.view.scene.viewer import display_available
@@ -223,7 +221,6 @@ def retarget(
     robot_model
         cyberdog2, go2, or the folder of another robot with its robot.toml and MJCF; targets stay in its workspace.
     """
-    from mimic.cli.terminal.console import ConsoleReporter, table
     from mimic.cli.terminal.rows import target_rows
     from mimic.flows.play import load_robot, save_targets
 
@@ -252,7 +249,6 @@ def view(run: Path, /, *, web: Annotated[bool, o.Flag] = False) -> int:
     if not web and display_available():
         open_viewer(scene)
         return DONE
-    from mimic.cli.terminal.console import note
 
     note("open this in a browser on this computer; Ctrl-C ends the server:")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # otherwise the server would outlive this command

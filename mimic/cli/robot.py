@@ -17,6 +17,7 @@ from mimic.cli.terminal.console import ConsoleReporter, console, matrix, note, t
 from mimic.cli.terminal.exit_status import BUG, DONE, STOPPED, USER_ERROR
 from mimic.config.hardware import DriveSettings
 from mimic.flows.robot.operator import Operator
+from mimic.records import JOINTS
 from mimic.records.table import number
 
 if TYPE_CHECKING:
@@ -151,7 +152,6 @@ def scan(bus_url: o.BusUrl, /, *, bus: o.WiringFile = None) -> int:
         Buses, such as can0; see mimic --help.
     """
     from mimic.flows.robot.commissioning import scan_robot
-    from mimic.records import JOINTS
 
     seen, wiring, problems = scan_robot(bus_url, bus)
     rows = {}
@@ -194,7 +194,6 @@ def zero(
         Start without waiting for Enter; for rehearsals.
     """
     from mimic.flows.robot.commissioning import zero_robot
-    from mimic.records import JOINTS
 
     note(
         "For its first zeros, keep its legs folded under a level belly: upper legs 80 deg back, knees bent by 135 deg,"
@@ -322,8 +321,6 @@ def _watched(seen: Watched) -> Table:
     """Return a table of what a robot says."""
     from rich.table import Table
 
-    from mimic.records import JOINTS
-
     rates = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in seen.rates.items())
     roll, pitch, yaw = (number(float(angle), "{:+.1f}") for angle in np.rad2deg(seen.rpy))
     shown = Table(
@@ -336,12 +333,13 @@ def _watched(seen: Watched) -> Table:
         shown.add_column(name, justify="left" if name == "joint" else "right")
     for j, joint in enumerate(JOINTS):
         values = {
-            "{:+.1f}": np.rad2deg(seen.q[j]),
-            "{:+.2f}": seen.dq[j],
-            "{:+.1f} ": seen.tau[j],
-            "{:.0f}": seen.temperature[j],
+            "{:+.1f}": np.rad2deg(seen.report["q"][j]),
+            "{:+.2f}": seen.report["dq"][j],
+            "{:+.1f} ": seen.report["tau"][j],
+            "{:.0f}": seen.report["temperature"][j],
         }
-        errors = f"{seen.errors[j]:#x}" if seen.errors[j] else ""
+        faults = int(seen.report["faults"][j])
+        errors = f"{faults:#x}" if faults else ""
         shown.add_row(joint, *(number(float(value), form) for form, value in values.items()), errors)
     return shown
 

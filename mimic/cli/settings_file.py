@@ -14,33 +14,9 @@ from cyclopts import App, Parameter, Token
 from cyclopts.argument import Argument, ArgumentCollection
 from cyclopts.exceptions import UnknownOptionError
 
-from mimic.config.emulator import EmulateSettings
-from mimic.config.hardware import BusSettings, ProbeSettings
-from mimic.config.leading import HandSettings, LeadingSettings
-from mimic.config.play import EffectsSettings, RunSettings
-from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
-from mimic.config.retarget import RetargetSettings
-from mimic.config.sysid import CalibrateSettings, LogSettings
-from mimic.config.values import expected, fitted, read_toml
+from mimic.cli.options import SECTIONS
+from mimic.config.values import expected, made, read_toml
 from mimic.errors import ConfigError
-
-SECTIONS: Mapping[str, type] = {
-    "retarget": RetargetSettings,
-    "play": RunSettings,
-    "effects": EffectsSettings,
-    "pose": PoseSettings,
-    "mocap": MocapSettings,
-    "text": LanguageSettings,
-    "camera": LiveSettings,
-    "robot": BusSettings,
-    "probe": ProbeSettings,
-    "lead": HandSettings,
-    "answer": LeadingSettings,
-    "calibrate": CalibrateSettings,
-    "log": LogSettings,
-    "emulate": EmulateSettings,
-}
-"""Section of the file -> its settings."""
 
 Given = Mapping[str, Mapping[str, Any]]
 """Section -> setting -> value."""
@@ -62,20 +38,8 @@ def read_settings(path: Path) -> Given:
             raise ConfigError(f"{path}: unknown {what}; sections are {', '.join(SECTIONS)}")
         if not isinstance(values, dict):
             raise ConfigError(f"{path}: {section} is {values!r}; expected a section [{section}]")
-        kind = SECTIONS[section]
-        hints = get_type_hints(kind)
-        names = [f.name for f in fields(kind)]
-        for key, value in values.items():
-            if key not in names:
-                raise ConfigError(f"{path}: [{section}] has no {key}; it has {', '.join(names)}")
-            try:
-                given.setdefault(section, {})[key] = fitted(value, hints[key])
-            except TypeError:
-                raise ConfigError(f"{path}: [{section}] {key} is {value!r}; expected {expected(hints[key])}") from None
-        try:
-            kind(**given.get(section, {}))
-        except ConfigError as reason:
-            raise ConfigError(f"{path}: [{section}] {reason}") from None
+        settings = made(SECTIONS[section], values, f"{path}: [{section}] ")
+        given[section] = {key: getattr(settings, key) for key in values}
     return given
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from mimic.cli.terminal.console import ConsoleReporter, console, matrix, note
 from mimic.cli.terminal.exit_status import DONE
 from mimic.config.play import DEFAULT_ROBOT
 
@@ -45,7 +46,6 @@ def train(
     show_weights
         Print what a unit of each reward term counts over the training, and do not train.
     """
-    from mimic.cli.terminal.console import ConsoleReporter, console, note
     from mimic.config.training import ENDLESS
     from mimic.errors import ConfigError
     from mimic.flows.reporter import SilentReporter
@@ -81,7 +81,6 @@ def train(
 
 def _show_weights(mdp: MdpSettings) -> None:
     """Print the reward for a unit of each term, at each control step where one begins or ends to change."""
-    from mimic.cli.terminal.console import matrix
     from mimic.train.weights import weight_table
 
     by_step = weight_table(mdp)

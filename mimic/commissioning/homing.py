@@ -18,10 +18,10 @@ from mimic.dynamics.lying import sunk_pose
 from mimic.errors import PlantError
 from mimic.hardware.can.zeros import LYING_TOLERANCE, Homing
 from mimic.hardware.motors import registers
-from mimic.hardware.motors.bus import MotorBus
+from mimic.hardware.motors.bus import ALL, MotorBus
 from mimic.hardware.motors.interface import Register
 from mimic.hardware.robot.checks import beyond_limits
-from mimic.records import JOINTS, BoolArray, FloatArray
+from mimic.records import JOINTS, BoolArray, FloatArray, joint_names
 from mimic.robot.description import RobotDescription
 
 ZERO_TOLERANCE = 0.01
@@ -79,10 +79,7 @@ def _answering(motor_bus: MotorBus) -> dict[int, int]:
         PlantError: If one does not answer.
     """
     uid = registers.read_uids(motor_bus)
-    silent = registers.stop(motor_bus)
-    lacking = [joint for j, joint in enumerate(JOINTS) if j in silent or j not in uid]
-    if lacking:
-        raise PlantError(f"no answer from {', '.join(lacking)}; is the power on? Run: mimic robot scan")
+    registers.need(sorted({*registers.stop(motor_bus), *(j for j in ALL if j not in uid)}))
     return uid
 
 
@@ -93,10 +90,9 @@ def _refuse_others(other: BoolArray) -> None:
         PlantError: With their joints.
     """
     if other.any():
-        names = ", ".join(JOINTS[j] for j in np.flatnonzero(other))
         raise PlantError(
-            f"the zero of {names} was set by another computer since power-up; switch the motor power off and on, then "
-            "run it again"
+            f"the zero of {joint_names(np.flatnonzero(other))} was set by another computer since power-up; switch the "
+            "motor power off and on, then run it again"
         )
 
 

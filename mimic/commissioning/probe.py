@@ -1,9 +1,8 @@
 """Probing: moves a suspended robot so that its drives show their properties, and logs it as calibration reads it.
 
-A row is one exchange with the motors: commands go to all joints of moving legs, and in turn to some of the others. The
-commands go out at once, and each motor measures when its own arrives. An answer that misses its row but comes before
-the next commands still belongs to it. A later answer is missing from the log, as is that of a motor that was not
-asked.
+A row is one exchange with the motors. The commands go out at once, and each motor measures when its own arrives. An
+answer that misses its row but comes before the next commands still belongs to it. A later answer is missing from the
+log.
 
 Motors report the torque of an instant. A log's ``tau`` is the mean since the row before, so the reported torque is
 kept in a column of its own, ``tau_now``. Motors round positions down to a word; the log has the middle of what the
@@ -13,35 +12,30 @@ word stands for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from mimic.commissioning.probe_motion import ProbeMotion, turns
 from mimic.config.hardware import ProbeSettings
 from mimic.control.safety.safety_limits import limits_for
 from mimic.control.safety.safety_rules import FAILURE, SUSPENDED_RULES
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.signals import Signals
+from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.errors import PlantError
+from mimic.frozen import frozen_arrays
 from mimic.geometry import smoothstep
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.wiring import Wiring
-from mimic.hardware.robot.driver import ALL
 from mimic.hardware.robot.plant import Robot
-from mimic.io.joint_log import HELD, JointLog
-from mimic.records import JOINTS, BoolArray, FloatArray, JointCommand
-
-MAX_GAP_TURNS = 3
-"""A reading of a held joint is carried forward over at most so many turns; the supervisor ends a longer silence."""
-
-HELD_STEPS = 2.0
-"""It is carried forward only if the readings around it differ by at most so many steps of a position."""
+from mimic.io.joint_log import JointLog
+from mimic.records import JOINTS, FloatArray, JointCommand
+from mimic.robot.description import RobotDescription
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class ProbeResult:
     """The result of probing."""
 
@@ -58,7 +52,7 @@ class ProbeResult:
 
 def probe(
     robot: Robot,
-    motion: ProbeMotion,
+    motion: FloatArray,
     settings: ProbeSettings,
     signals: Signals,
     *,
@@ -69,7 +63,7 @@ def probe(
 
     Args:
         robot: Not started yet.
-        motion: Targets, and which joints are read in every row.
+        motion: Targets (T, 12) [rad].
         settings: Rate and gains.
         signals: Ctrl-C ends it and keeps the log.
         wiring: Of motors on CAN, which are asked one by one; None for a motion board, which reads all of them.
@@ -86,10 +80,10 @@ def probe(
     rows = _Rows(robot, supervisor, signals, settings, wiring)
     try:
         state = robot.start()
-        for gain, target in approach(state.q, motion.q_des[0], settings):
-            rows.step(gain, target, motion.watched[0], keep=False)
-        for number, (target, watched) in enumerate(zip(motion.q_des, motion.watched, strict=True)):
-            rows.step(1.0, target, watched, keep=True, everyone=number in (0, len(motion) - 1))
+        for gain, target in approach(state.q, motion[0], settings):
+            rows.step(gain, target, keep=False)
+        for number, target in enumerate(motion):
+            rows.step(1.0, target, keep=True)
             if progress is not None and number % round(settings.rate_hz) == 0:
                 progress(number, len(motion))
         rows.end()
@@ -128,39 +122,28 @@ class _Rows:
         self._signals = signals
         self._settings = settings
         self._wiring = wiring
-        self._columns: dict[str, list[FloatArray | BoolArray | float]] = {
-            name: [] for name in ("t", "asked", "q", "dq", "tau", "q_des", "receive", "temperature", "voltage")
-        }
-        self._turns = turns(settings.rate_hz, robot.description.dt)
-        self._since: FloatArray = np.full(len(JOINTS), -np.inf)
-        """When each motor was asked last [s]."""
-        self._in_effect: FloatArray = np.full(len(JOINTS), np.nan)
-        """Last target sent to each motor [rad]."""
-        self._row: tuple[float, list[int], BoolArray] | None = None
-        """The row whose answers may still come: its time [s], joints asked, and joints of legs that moved."""
-        self._busy: list[tuple[float, FloatArray]] = []
-        """Time and how long each bus was busy so far [s], at the first recorded row and at the last."""
+        self._asked: tuple[float, FloatArray] | None = None
+        """When commands were sent whose answers may still come [s], and the targets that were sent (12,) [rad]."""
+        self._rows: list[tuple[float, FloatArray, Any]] = []
+        """The same of each recorded row, and the report after it."""
         self.t = 0.0
         """Time of the plant [s]."""
 
-    def step(self, gain: float, target: FloatArray, watched: BoolArray, *, keep: bool, everyone: bool = False) -> None:
+    def step(self, gain: float, target: FloatArray, *, keep: bool) -> None:
         robot = self._robot
         settings = self._settings
         signals = self._signals
         self.end()
         asked = robot.now
         zeros = np.zeros(len(JOINTS))
-        joints = list(ALL) if everyone or self._wiring is None else self._turns.asked(watched, self._since)
         kp = np.full(len(JOINTS), gain * settings.kp)
         kd = np.full(len(JOINTS), gain * settings.kd)
         command = JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros)
-        self._since[joints] = asked
-        tick = robot.step(command, 1.0 / settings.rate_hz, joints)
+        tick = robot.step(command, 1.0 / settings.rate_hz)
         self.t = tick.state.t
-        self._in_effect[joints] = tick.sent.q_des[joints]
-        self._row = (asked, joints, watched) if keep else None
+        self._asked = (asked, tick.sent.q_des) if keep else None
         report = StepReport(
-            state=robot.state(self._since),
+            state=tick.state,
             health=tick.health,
             phase=0,
             q_des=target,
@@ -175,79 +158,52 @@ class _Rows:
     def end(self) -> None:
         """Record the row of the last commands; no more answers can belong to it."""
         self._robot.look()
-        if self._row is None:
-            return
-        (asked_at, joints, watched) = self._row
-        self._row = None
-        report = self._robot.report
-        asked = np.isin(ALL, joints)
-        came = asked & (report["came"] > asked_at)  # an answer of another joint is delayed by a row or more
-        row = (
-            asked_at,
-            asked,
-            np.where(came, report["q"], np.nan),
-            np.where(came, report["dq"], np.nan),
-            np.where(came, report["tau"], np.nan),
-            self._in_effect.copy(),
-            np.where(watched & came, report["came"], np.nan),
-            np.array(report["temperature"]),
-            float(report["voltage"]),
-        )
-        for column, value in zip(self._columns.values(), row, strict=True):
-            column.append(value)
-        self._busy = [*self._busy[:1], (float(report["t"]), np.array(report["busy"]))]
+        if self._asked is not None:
+            self._rows.append((*self._asked, self._robot.report))
+        self._asked = None
 
     def result(self) -> ProbeResult:
-        columns = {name: np.array(values) for name, values in self._columns.items()}
         ended = self._supervisor.decisive
-        if len(columns["t"]) < 2:
+        if len(self._rows) < 2:
             raise PlantError(f"nothing was measured: {'it ended at once' if ended is None else ended.text}")
-        begin = columns["t"][0]
         settings = self._settings
-        t = columns["t"] - begin
         wiring = self._wiring
+        asked = np.array([row[0] for row in self._rows])
+        reports = np.array([row[2] for row in self._rows])
+        came = reports["came"] > asked[:, None]  # others are delayed by a row or more
+        q, dq, tau, receive = (np.where(came, reports[name], np.nan) for name in ("q", "dq", "tau", "came"))
+        t = asked - asked[0]
         extra: dict[str, FloatArray] = {}
-        if np.isfinite(columns["voltage"]).any():
-            extra["voltage"] = _first_known(columns["voltage"])
+        if np.isfinite(reports["voltage"]).any():
+            extra["voltage"] = _first_known(reports["voltage"])
         for joint, name in enumerate(JOINTS):
             extra[f"t_send.{name}"] = t
-            extra[f"t_receive.{name}"] = columns["receive"][:, joint] - begin
-            extra[f"temperature.{name}"] = columns["temperature"][:, joint]
-            extra[f"tau_now.{name}"] = columns["tau"][:, joint]
-        asked = columns["asked"].astype(bool)
-        missing = float(np.isnan(columns["q"][asked]).mean())
+            extra[f"t_receive.{name}"] = receive[:, joint] - asked[0]
+            extra[f"temperature.{name}"] = reports["temperature"][:, joint]
+            extra[f"tau_now.{name}"] = tau[:, joint]
+        missing = float(np.isnan(q).mean())
         middle = 0.0 if wiring is None else wiring.sign * wiring.motors().facts.position_bias
         log = JointLog(
             joints=JOINTS,
             t=t,
-            q=columns["q"] + middle,
-            dq=columns["dq"],
-            q_des=columns["q_des"],
+            q=q + middle,
+            dq=dq,
+            q_des=np.array([row[1] for row in self._rows]),
             extra=extra,
             metadata={
                 "kp": settings.kp,
                 "kd": settings.kd,
                 "robot": self._robot.description.name,
                 "motion": settings.kind,
-                "joints_at_once": settings.joints,
                 "rate_hz": settings.rate_hz,
                 "missing_share": missing,
                 "ended": "" if ended is None else ended.text,
-            }
-            | self._held(asked),
+            },
         )
-        expected = np.zeros(0) if wiring is None else expected_load(wiring, settings.rate_hz * asked.mean(axis=0))
-        (start, before), (stop, after) = self._busy
-        load = (after - before) / (stop - start)
+        expected = np.zeros(0) if wiring is None else expected_load(wiring, settings.rate_hz)
+        load = (reports["busy"][-1] - reports["busy"][0]) / (reports["t"][-1] - reports["t"][0])
         load = load[np.isfinite(load)]
         return ProbeResult(log=log, ended=ended, missing=missing, load=load, expected=expected)
-
-    def _held(self, asked: BoolArray) -> dict[str, Any]:
-        """Return the metadata by which a reader carries readings of held joints forward."""
-        if asked.all() or self._wiring is None:
-            return {}
-        within = HELD_STEPS * self._wiring.motors().facts.position_step
-        return {HELD: {"rows": MAX_GAP_TURNS * self._turns.rows, "within": within}}
 
 
 def _first_known(values: FloatArray) -> FloatArray:
@@ -256,3 +212,30 @@ def _first_known(values: FloatArray) -> FloatArray:
     if not len(known):
         return values
     return np.concatenate([np.full(known[0], values[known[0]]), values[known[0] :]])
+
+
+def probe_motion(description: RobotDescription, settings: ProbeSettings) -> FloatArray:
+    """Return targets (T, 12) [rad] inside the ranges in which no leg can touch anything."""
+    return probe_targets(
+        *hung_ranges(description),
+        seconds=settings.seconds,
+        rate_hz=settings.rate_hz,
+        seed=settings.seed,
+        kind=settings.kind,
+        size=settings.amplitude,
+    ).q_des
+
+
+def recorded_motion(t: FloatArray, q: FloatArray, description: RobotDescription, settings: ProbeSettings) -> FloatArray:
+    """Return the targets (T, 12) [rad] of a recorded run, inside the ranges of the suspended robot.
+
+    Args:
+        t: Times of the targets, increasing [s].
+        q: Targets (ticks, 12) [rad].
+        description: The robot.
+        settings: Rate and length; a shorter recording is repeated.
+    """
+    low, high, _ = hung_ranges(description)
+    span = float(t[-1] - t[0])
+    at = t[0] + np.arange(round(settings.seconds * settings.rate_hz)) / settings.rate_hz % span
+    return np.clip(np.stack([np.interp(at, t, column) for column in q.T], -1), low, high)

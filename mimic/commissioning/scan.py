@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from mimic.errors import FrameError
+from mimic.frozen import frozen
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors.imu import make_imu
@@ -21,7 +20,7 @@ TAIL = 0.3
 """How long to listen after the last question [s]."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class BusScan:
     """What answered on one bus."""
 

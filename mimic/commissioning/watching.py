@@ -2,90 +2,76 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-
+from mimic.hardware.can.driver import CanDriver
+from mimic.hardware.can.frame import Link
 from mimic.hardware.can.other_programs import holding, others
+from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors.bus import ALL, MotorBus
-from mimic.hardware.motors.imu import ImuReading
-from mimic.hardware.motors.interface import MotorMode
-from mimic.records import FloatArray, IntArray
+from mimic.robot.description import RobotDescription
 
 POLL = 0.05
 """How often the motors are asked [s]."""
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Look:
-    """What motors and IMU say at one moment; NaN where nothing came."""
-
-    t: float
-    """Time of the link [s]."""
-    q: FloatArray
-    """Joint angles (12,) [rad]."""
-    dq: FloatArray
-    """[rad/s]"""
-    tau: FloatArray
-    """[N m]"""
-    temperature: FloatArray
-    """[degC]"""
-    faults: IntArray
-    """Fault bits (12,)."""
-    running: int
-    """Motors that are switched on."""
-    imu: ImuReading
-    load: FloatArray
-    """Share of each bus's time that was used since the last look (buses,)."""
+SENDERS_SHOWN = 6
+"""Identifiers of unknown senders that are named."""
 
 
-class Watcher:
+class Watcher(CanDriver):
     """Looks at a robot. Motors answer only when asked, so it asks them with an order to stop, which they are.
 
     As soon as another program is heard it asks no more, and takes what the motors answer to that one.
     """
 
-    def __init__(self, motor_bus: MotorBus, *, asks: bool) -> None:
+    def __init__(self, link: Link, wiring: Wiring, description: RobotDescription, *, asks: bool) -> None:
         """Listen for other programs first.
 
         Args:
-            motor_bus: Made with ``overhear``.
+            link: The buses.
+            wiring: Which motor moves which joint.
+            description: The robot.
             asks: Whether the motors may be asked at all.
         """
-        self.motor_bus = motor_bus
+        super().__init__(link, wiring, description, dry_run=True)
+        self.motor_bus = MotorBus(link, wiring, overhear=True)
         self.only_listens = "" if asks else "another program of this computer uses the bus"
         """Why the motors are not asked; empty where they are."""
-        self._before = motor_bus.link.now(), motor_bus.bits.copy()
+        self.zeros = ""
+        """What is to be said of the zeros."""
+        self._before = self.now(), self.motor_bus.bits.copy()
         if asks:
-            self.only_listens = others(motor_bus) or holding(motor_bus)
+            self.only_listens = others(self.motor_bus) or holding(self.motor_bus)
 
-    def look(self, seconds: float) -> Look:
-        """Look for a while, and return the newest readings, none older than that or two polls."""
+    def listen(self, until: float, wake: int | None = None) -> bool:
+        """Ask the motors again and again until a time [s], and take what comes."""
         motor_bus = self.motor_bus
-        link = self.motor_bus.link
-        begin = link.now()
-        while link.now() < begin + seconds:
+        while self.now() < until:
             motor_bus.drain()
             if not self.only_listens and motor_bus.foreign:
                 self.only_listens = f"another program commands the motors ({motor_bus.foreign_text})"
             if not self.only_listens:
-                for joint in ALL:
-                    motor_bus.send(joint, motor_bus.motors.stop(motor_bus.id(joint)))
-            motor_bus.listen(min(link.now() + POLL, begin + seconds))
-        now = link.now()
-        since = min(begin, now - 2 * POLL)
-        q, dq, tau = motor_bus.readings(since)
-        (t0, bits) = self._before
-        self._before = (now, motor_bus.bits.copy())
-        newest = [f if came > since else None for f, came in zip(motor_bus.feedback, motor_bus.came, strict=True)]
-        return Look(
-            t=now,
-            q=q,
-            dq=dq,
-            tau=tau,
-            temperature=np.array([np.nan if f is None else f.temperature for f in newest]),
-            faults=np.array([0 if f is None else f.faults for f in newest]),
-            running=sum(f is not None and f.mode == MotorMode.RUNNING for f in newest),
-            imu=motor_bus.imu.reading(now),
-            load=(motor_bus.bits - bits) / motor_bus.wiring.bitrate / max(now - t0, 1e-3),
-        )
+                self._stop(ALL)
+            motor_bus.listen(min(self.now() + POLL, until))
+        return False
+
+    def counts(self) -> dict[str, int]:
+        """Return how many orientations came so far."""
+        return {"orientation": self.motor_bus.imu.reading(self.now()).count}
+
+    def notes(self) -> list[str]:
+        """Return what there is to say beside the readings, since the last call."""
+        motor_bus = self.motor_bus
+        (since, bits) = self._before
+        self._before = (self.now(), motor_bus.bits.copy())
+        load = (motor_bus.bits - bits) / motor_bus.wiring.bitrate / max(self.now() - since, 1e-3)
+        names = motor_bus.link.names if len(load) > 1 else ("",)
+        shares = ", ".join(f"{name} {share:.0%}".strip() for name, share in zip(names, load, strict=True))
+        unknown = ", ".join(name for (_, name), _ in motor_bus.unknown.most_common(SENDERS_SHOWN))
+        notes = [
+            f"bus load {shares}; {int(self.report['running'].sum())} motors on",
+            f"only listening: {self.only_listens}" * bool(self.only_listens),
+            self.zeros,
+            motor_bus.imu.reading(self.now()).problem or "",
+            f"unknown senders: {unknown}" * bool(unknown),
+            f"{motor_bus.errors} frames made no sense" * bool(motor_bus.errors),
+        ]
+        return [note for note in notes if note]

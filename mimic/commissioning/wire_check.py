@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import permutations, product
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,10 +11,12 @@ from scipy.spatial.transform import Rotation
 from mimic.commissioning.scan import BusScan
 from mimic.commissioning.watching import Watcher
 from mimic.errors import PlantError
+from mimic.frozen import frozen
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.wiring import Wiring
-from mimic.hardware.motors.bus import MotorBus
+from mimic.hardware.robot.driver import newest
 from mimic.records import JOINTS, FloatArray
+from mimic.robot.description import RobotDescription
 
 MOVED = 0.2
 """A joint that was moved by hand has turned by this [rad]."""
@@ -60,7 +61,7 @@ def instruction(joint: str) -> str:
     return MOTIONS[part].format(leg=_LEGS[leg])
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Moved:
     """A motor that was moved by hand."""
 
@@ -73,13 +74,14 @@ class Moved:
 class WireCheck:
     """The motors of a robot whose wiring is not known, in the order in which a scan found them."""
 
-    def __init__(self, link: Link, wiring: Wiring, found: list[BusScan]) -> None:
+    def __init__(self, link: Link, wiring: Wiring, found: list[BusScan], description: RobotDescription) -> None:
         """Take what a scan found.
 
         Args:
             link: The buses.
             wiring: Of which maker, ids of this computer and the IMU's kind and bus are taken.
             found: On each bus.
+            description: The robot.
 
         Raises:
             PlantError: If there are not twelve motors, no IMU, or another program commands them.
@@ -101,7 +103,7 @@ class WireCheck:
             offset=0.0 * ones,
             imu=replace(wiring.imu, bus=heard[0], quat_BI=np.array([1.0, 0.0, 0.0, 0.0])),
         )
-        self._watcher = Watcher(MotorBus(link, self.raw, overhear=False), asks=True)
+        self._watcher = Watcher(link, self.raw, description, asks=True)
         self._refuse_others()
 
     def _refuse_others(self) -> None:
@@ -110,14 +112,18 @@ class WireCheck:
 
     def _look(self) -> tuple[FloatArray, FloatArray]:
         """Return the motors' readings (12,) [rad] and the orientation of the IMU, wxyz (4,)."""
-        seen = self._watcher.look(LOOK)
+        watcher = self._watcher
+        begin = watcher.now()
+        watcher.listen(begin + LOOK)
         self._refuse_others()
-        if np.isnan(seen.q).any():
-            places = [self.name(int(i)) for i in np.flatnonzero(np.isnan(seen.q))]
+        seen = newest(watcher.report, begin)
+        if np.isnan(seen["q"]).any():
+            places = [self.name(int(i)) for i in np.flatnonzero(np.isnan(seen["q"]))]
             raise PlantError(f"{', '.join(places)} no longer answers; are its wires in place?")
-        if seen.imu.problem is not None:
-            raise PlantError(seen.imu.problem)
-        return seen.q, seen.imu.quat_WB
+        imu = watcher.motor_bus.imu.reading(watcher.now())
+        if imu.problem is not None:
+            raise PlantError(imu.problem)
+        return seen["q"], imu.quat_WB
 
     def name(self, place: int) -> str:
         """Return a motor as a person knows it."""
@@ -126,10 +132,9 @@ class WireCheck:
 
     def _wait(self, enough: Callable[[FloatArray, FloatArray], bool], what: str) -> tuple[FloatArray, FloatArray]:
         """Return the first two readings that are enough and at rest."""
-        link = self._watcher.motor_bus.link
-        end = link.now() + PATIENCE
+        end = self._watcher.now() + PATIENCE
         before = self._look()
-        while link.now() < end:
+        while self._watcher.now() < end:
             now = self._look()
             rests = np.abs(now[0] - before[0]).max() < STILL and _angle(before[1], now[1]) < STILL
             if rests and enough(*now):
@@ -192,14 +197,16 @@ class WireCheck:
         """Return the axis about which a person tilted the trunk, IMU axes (3,)."""
         say(f"IMU: {what}, and hold it there.")
         _, quat = self._wait(lambda q, quat: _tilt(level, quat) > TILTED, what)
-        turn = Rotation.from_quat(level, scalar_first=True).inv() * Rotation.from_quat(quat, scalar_first=True)
-        vector = turn.as_rotvec()
+        vector = _turn(level, quat).as_rotvec()
         return vector / np.linalg.norm(vector)
 
 
+def _turn(a: FloatArray, b: FloatArray) -> Rotation:
+    return Rotation.from_quat(a, scalar_first=True).inv() * Rotation.from_quat(b, scalar_first=True)
+
+
 def _angle(a: FloatArray, b: FloatArray) -> float:
-    turn = Rotation.from_quat(a, scalar_first=True).inv() * Rotation.from_quat(b, scalar_first=True)
-    return float(turn.magnitude())
+    return float(_turn(a, b).magnitude())
 
 
 def _tilt(a: FloatArray, b: FloatArray) -> float:
@@ -229,20 +236,9 @@ def mounting(up: FloatArray, nose: FloatArray, left: FloatArray) -> FloatArray:
             "IMU: the two tilts are a mirror image; was the tail lifted, or the robot rolled to the right?"
         )
     u, _, v = np.linalg.svd(axes)
-    best = min(_right_angles(), key=lambda R: (R * Rotation.from_matrix(u @ v).inv()).magnitude())
     measured = Rotation.from_matrix(u @ v)
-    found = best if (best * measured.inv()).magnitude() < SNAP else measured
+    right_angles = Rotation.create_group("O")
+    off = (right_angles * measured.inv()).magnitude()
+    found = right_angles[int(np.argmin(off))] if off.min() < SNAP else measured
     quat = found.as_quat(scalar_first=True)
     return quat if quat[np.argmax(np.abs(quat))] > 0 else -quat
-
-
-def _right_angles() -> list[Rotation]:
-    """Return the 24 turns by right angles."""
-    turns = []
-    for order in permutations(range(3)):
-        for signs in product((-1.0, 1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[range(3), order] = signs
-            if np.linalg.det(matrix) > 0:
-                turns.append(Rotation.from_matrix(matrix))
-    return turns

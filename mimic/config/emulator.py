@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from mimic.config.ranges import Limited, within
+from mimic.frozen import frozen
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class EmulateSettings(Limited):
     """How the emulated robot behaves."""
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from mimic.config.play import AS_DESCRIBED, EffectsSettings, Randomisation
 from mimic.config.ranges import Limited, within
+from mimic.frozen import frozen
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class EpisodeSettings(Limited):
     """What every evaluation has: episodes of one robot, drawn from seeds and played in parallel."""
 
@@ -26,7 +27,7 @@ class EpisodeSettings(Limited):
     """Ranges that its variations are drawn from."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class EvaluateSettings(EpisodeSettings):
     """Evaluation of a policy that stands and tracks."""
 
@@ -36,7 +37,7 @@ class EvaluateSettings(EpisodeSettings):
     """Length of an episode [s]."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class SitDownEvaluateSettings(EpisodeSettings):
     """Evaluation of a policy that sits down."""
 

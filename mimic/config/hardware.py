@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 from mimic.config.play import RAMP
 from mimic.config.ranges import Limited, within
+from mimic.frozen import frozen
 
 TETHER_TORQUE = 9.0
 """Largest torque of each motor on a rope [N m]."""
@@ -14,7 +14,7 @@ TETHER_RAMP = 6.0
 """Time of the start on a rope [s]."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class WiringSettings(Limited):
     """What any command needs to know of a robot."""
 
@@ -22,7 +22,7 @@ class WiringSettings(Limited):
     """Your copy of bus.toml (CAN) or board.toml (stock robot); default: the shipped one."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class LookSettings(WiringSettings):
     """How a robot is looked at."""
 
@@ -33,7 +33,7 @@ class LookSettings(WiringSettings):
     """CAN: use the zeros of the wiring file, without checking that mimic set them since power-up."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class DriveSettings(LookSettings):
     """How the motors of a robot are driven."""
 
@@ -48,7 +48,7 @@ class DriveSettings(LookSettings):
         return self.torque_limit
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class BusSettings(DriveSettings):
     """How a robot is driven by a policy."""
 
@@ -73,7 +73,7 @@ class BusSettings(DriveSettings):
         return TETHER_TORQUE if self.tether and self.torque_limit is None else self.torque_limit
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class ProbeSettings(Limited):
     """How a suspended robot is moved to measure its drives."""
 
@@ -81,9 +81,6 @@ class ProbeSettings(Limited):
     """Length of the motion [s]."""
     rate_hz: float = within(200.0, 50.0, 250.0, "Hz")
     """Readings per second [Hz]; at 200 Hz twelve motors use 70 % of one bus."""
-    joints: Literal["all", "sides", "legs", "each"] = "all"
-    """Joints that move at the same time: all, the six of one side, those of one leg, or one. Resting legs are read
-    less often, which reduces the bus load."""
     amplitude: float = within(0.5, 0.05, 1.0)
     """Share of the joint ranges to use."""
     kind: Literal["probe", "random"] = "probe"

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 from mimic.config.ranges import Limited, check_range, within
+from mimic.frozen import frozen
 
 LONGEST_WATCH = 600.0
 """How long a robot can be watched when the hand has let go [s]."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class LeadingSettings(Limited):
     """How a robot answers a pull on a front toe."""
 
@@ -31,7 +31,7 @@ class LeadingSettings(Limited):
         check_range("full", self.full, self.threshold + 0.1, 50.0, "N")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class HandSettings(Limited):
     """A simulated hand that takes a front toe, walks off with it on a straight line, and lets go."""
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 from mimic.config.ranges import Limited, within
+from mimic.frozen import frozen
 
 DEFAULT_ROBOT = "cyberdog2"
 """The robot where none is named."""
@@ -17,7 +17,7 @@ TRIM = 0.5
 """Time in which its targets then move on until the joints are there [s]."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class RunSettings(Limited):
     """Timing of a run, and its policy."""
 
@@ -39,7 +39,7 @@ class RunSettings(Limited):
     """Who moves the front legs; default: what the policy's contract says."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class EffectsSettings(Limited):
     """Which robot is simulated, and its calibrated effects."""
 
@@ -55,7 +55,7 @@ AS_DESCRIBED = EffectsSettings()
 """The robot without effects."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class Randomisation:
     """Ranges of the paper's Table II and of the start; a pair is uniform between its ends.
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from mimic.config.ranges import Limited, within
+from mimic.frozen import frozen
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class PoseSettings(Limited):
     """How landmarks are found in a video."""
 
@@ -29,7 +29,7 @@ class PoseSettings(Limited):
     one hardly sees. Both start within 2 s."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class MocapSettings(Limited):
     """What a file of recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt) does not state."""
 
@@ -43,7 +43,7 @@ class MocapSettings(Limited):
     """Frame rate [Hz]; 0 uses the times in the file."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class LanguageSettings(Limited):
     """How a sentence becomes key frames."""
 
@@ -62,7 +62,7 @@ class LanguageSettings(Limited):
     """Maximum length of the motion [s]."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class LiveSettings(Limited):
     """How the robot follows a camera in real time."""
 

@@ -13,6 +13,11 @@ def within(default: float | str | None, low: float, high: float, unit: str = "")
     return field(default=default, metadata={"limits": (low, high, unit)})
 
 
+def required(low: float, high: float, unit: str = "") -> Any:
+    """Return a field as `within` does, without a default."""
+    return field(metadata={"limits": (low, high, unit)})
+
+
 class Limited:
     """Settings of which those that are `within` limits are checked, unless they are text or None."""
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 from mimic.config.ranges import Limited, within
+from mimic.frozen import frozen
 
 SLOWEST = 10.0
 """A motion is slowed down by at most this factor."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class RetargetSettings(Limited):
     """How wrist positions become toe targets."""
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from mimic.frozen import frozen
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class RewardWeights:
     """Weight of each reward term: the reward of a control step is their sum times mimic.train.rewards.REWARD_SCALE.
 
@@ -81,7 +81,7 @@ RESTING_TERMS = ("drift", "unrest", "shuffle")
 """Reward terms that count once robots may rest while they are asked to stand."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class FinishFactors:
     """What the weights of a few reward terms are multiplied by at the end of a training."""
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 from mimic.config.ranges import Limited, within
 from mimic.errors import ConfigError
+from mimic.frozen import frozen
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class CalibrateSettings(Limited):
     """How a log is explained."""
 
@@ -32,7 +32,7 @@ class CalibrateSettings(Limited):
                 raise ConfigError(f"--{option} names an effect twice: {', '.join(names)}")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class LogSettings(Limited):
     """How a log is simulated."""
 

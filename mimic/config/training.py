@@ -5,13 +5,14 @@ Numbers that no recipe changes are constants beside the code that uses them, in 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
 
 from mimic.config.play import Randomisation
 from mimic.config.ranges import Limited, check_range, within
 from mimic.config.rewards import FinishFactors, RewardWeights
 from mimic.errors import ConfigError
+from mimic.frozen import frozen
 
 TRAINING_RANDOMISATION = Randomisation(
     dry_friction=(0.0, 4.0),
@@ -31,7 +32,7 @@ TRAINING_RANDOMISATION = Randomisation(
 factor on their gains: DisturbanceRanges.kp and kd."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class DisturbanceRanges:
     """What happens to a robot in training besides its randomisation; a pair is uniform between its ends.
 
@@ -92,7 +93,7 @@ UNDISTURBED = DisturbanceRanges(
 """Nothing happens."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class MdpSettings(Limited):
     """The worlds a policy is trained in."""
 
@@ -205,7 +206,7 @@ ENDLESS = 100_000_000
 """Updates that no training makes."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class LearnSettings(Limited):
     """PPO and the training run."""
 

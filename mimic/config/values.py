@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from mimic.config.text_file import from_toml, read_text
 from mimic.errors import ConfigError
+
+S = TypeVar("S")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -22,6 +26,62 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path} cannot be read ({reason.strerror})") from None
     except ValueError as reason:
         raise ConfigError(f"{path} is not a TOML file: {reason}") from None
+
+
+def read_made(kind: type[S], file: Path, **more: Any) -> S:
+    """Return a dataclass from a TOML file, and from what else is given.
+
+    Raises:
+        ConfigError: If the file cannot be read or does not fit; the message names it.
+    """
+    table = read_toml(file)
+    try:
+        return made(kind, {**table, **more})
+    except ConfigError as reason:
+        raise ConfigError(f"{file}: {reason}") from None
+
+
+def made(kind: type[S], table: Any, above: str = "", base: S | None = None) -> S:
+    """Return a dataclass from a table of TOML; what the table lacks is as in another one, or has its default.
+
+    Args:
+        kind: Of settings; a field may itself be a dataclass, or a mapping of names to something.
+        table: Name -> value.
+        above: Where the table is, with what separates it from its names.
+        base: Of the same kind.
+
+    Raises:
+        ConfigError: If there is no such field, one is missing, or a value does not fit.
+    """
+    hints = get_type_hints(kind)
+    if not isinstance(table, Mapping):
+        names = ", ".join(above + name for name in hints)
+        raise ConfigError(f"{above.strip(' .')} is {table!r}; set one of its fields: {names}")
+    unknown = [name for name in table if name not in hints]
+    if unknown:
+        raise ConfigError(f"there is no setting {above + unknown[0]!r}; there are {', '.join(hints)}")
+    values = {name: _one(hints[name], value, above + name, getattr(base, name, None)) for name, value in table.items()}
+    try:
+        if base is not None:
+            return replace(base, **values)  # type: ignore[type-var]
+        for f in fields(kind):  # type: ignore[arg-type]
+            if f.name not in values and f.default is MISSING and f.default_factory is MISSING:
+                raise ConfigError(f"{f.name} is missing")
+        return kind(**values)
+    except ConfigError as reason:
+        raise ConfigError(f"{above}{reason}") from None
+
+
+def _one(hint: Any, value: Any, name: str, base: Any) -> Any:
+    """Return a value of TOML as its field has it."""
+    if is_dataclass(hint):
+        return made(hint, value, f"{name}.", base)  # type: ignore[arg-type]
+    if get_origin(hint) is Mapping and isinstance(value, Mapping):
+        return {key: _one(get_args(hint)[1], one, f"{name}.{key}", None) for key, one in value.items()}
+    try:
+        return fitted(value, hint)
+    except TypeError:
+        raise ConfigError(f"{name} is {value!r}; expected {expected(hint)}") from None
 
 
 def fitted(value: Any, hint: Any) -> Any:
@@ -47,7 +107,7 @@ def fitted(value: Any, hint: Any) -> Any:
             return tuple(fitted(one, part) for one, part in zip(value, parts, strict=True))
     elif hint is float and type(value) is int:
         return float(value)
-    elif hint is Path and isinstance(value, str):
+    elif hint is Path and isinstance(value, str | Path):
         return Path(value)
     elif type(value) is hint:
         return value
@@ -62,6 +122,8 @@ def expected(hint: Any) -> str:
         return " or ".join(expected(part) for part in parts if part is not NoneType)
     if kind is Literal:
         return " or ".join(f'"{one}"' for one in parts)
+    if kind is Mapping:
+        return "a table"
     if kind is tuple:
         many = "several" if parts[-1] is Ellipsis else str(len(parts))
         return f"a list of {many}, each {expected(parts[0])}"

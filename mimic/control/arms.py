@@ -12,11 +12,10 @@ Source: Murray, Li, Sastry, "A Mathematical Introduction to Robotic Manipulation
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from mimic.frozen import frozen_arrays
 from mimic.geometry import smoothstep
 from mimic.policy.contract import AHEAD, FRONT, PolicyContract, arm_reference, lead_time
 from mimic.records import FloatArray
@@ -24,7 +23,7 @@ from mimic.robot.description import RobotDescription
 from mimic.robot.reach import Reach
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class ArmGoal:
     """Where the front legs should be when a command acts."""
 

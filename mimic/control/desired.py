@@ -6,13 +6,14 @@ have goals of their own from the blend on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from mimic.config.play import RunSettings
 from mimic.control.arms import ArmGoal, LiveArms, StoredArms
+from mimic.frozen import frozen_arrays
 from mimic.geometry import smoothstep
 from mimic.policy.contract import INVERSE_KINEMATICS, PolicyContract
 from mimic.records import PHASES, Command, CommandTrack, FloatArray, LiveCommands
@@ -22,7 +23,7 @@ from mimic.robot.leg_kinematics import front_legs, front_toes
 STAND_UP, BLEND, TRACK, HOLD = (PHASES.index(name) for name in ("stand_up", "blend", "track", "hold"))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Desired:
     """What is asked for at one control tick."""
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
+from mimic.frozen import frozen_arrays
 from mimic.geometry import rotation_from_quat
 from mimic.records import JOINTS, LEGS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
@@ -47,7 +47,7 @@ TURNED = 0.12
 """Largest turn of the IMU about the vertical [rad]; in simulation at most 0.04."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Mistake:
     """What may be wrong with a robot: the joint that is named i is order[i], with this sign."""
 
@@ -63,7 +63,7 @@ class Mistake:
         return np.flatnonzero((self.order != np.arange(len(JOINTS))) | (self.sign < 0.0))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Answer:
     """What a joint's motion did."""
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import fields, replace
 from functools import partial
 from itertools import count
 
@@ -23,6 +23,7 @@ from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.start import start
 from mimic.control.tick import Run, Safety, Sink
 from mimic.errors import ContractError, PlantError, SenderError
+from mimic.frozen import frozen_arrays
 from mimic.geometry import heading_from_quat
 from mimic.io.store import plain
 from mimic.policy.contract import ObservationBuilder, PolicyContract
@@ -31,7 +32,6 @@ from mimic.records import (
     PHASES,
     Command,
     CommandTrack,
-    FloatArray,
     HealthLog,
     JointSamples,
     LiveCommands,
@@ -42,7 +42,7 @@ from mimic.robot.description import RobotDescription
 SIT_DOWN, DAMP = (PHASES.index(name) for name in ("sit_down", "damp"))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class RunResult:
     """Outcome of a run."""
 
@@ -249,8 +249,7 @@ def _damp(run: Run) -> None:
 def _joined(samples: list[JointSamples]) -> JointSamples | None:
     if not samples:
         return None
-
-    def whole(name: str) -> FloatArray:
-        return np.concatenate([getattr(part, name) for part in samples])
-
-    return JointSamples(t=whole("t"), q=whole("q"), dq=whole("dq"), tau=whole("tau"), q_des=whole("q_des"))
+    columns = {}
+    for f in fields(JointSamples):
+        columns[f.name] = np.concatenate([getattr(part, f.name) for part in samples])
+    return JointSamples(**columns)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,13 +12,14 @@ from mimic.control.safety.safety_rules import FAILURE
 from mimic.control.safety.supervisor import SafetyMode
 from mimic.control.tick import Run
 from mimic.control.trunk import Trunk
+from mimic.frozen import frozen_arrays
 from mimic.policy.contract import FRONT, ObservationBuilder, PolicyContract, joint_command
 from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, Command, FloatArray, JointCommand
 from mimic.robot.arm_torques import ArmTorques
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Asked:
     """What is asked of a policy in one control step, and what it sees."""
 

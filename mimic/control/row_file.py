@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +36,9 @@ class RowFile:
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
-        self._shapes = {name: tuple(shape) for name, shape in shapes.items()}
+        self._row = np.zeros((), _layout(shapes))
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
-        head = {"form": _FORM, "shapes": self._shapes, "metadata": plain(metadata)}
+        head = {"form": _FORM, "shapes": plain(shapes), "metadata": plain(metadata)}
         os.write(self._file, json.dumps(head).encode() + b"\n")
 
     def packed(self, values: Mapping[str, Any]) -> bytes:
@@ -47,13 +47,12 @@ class RowFile:
         Raises:
             ContractError: If a column is missing or has another shape.
         """
-        parts: list[FloatArray] = []
-        for name, shape in self._shapes.items():
+        for name, (kind, _) in self._row.dtype.fields.items():  # type: ignore[union-attr]
             part = np.asarray(values.get(name), dtype=np.float64)
-            if part.shape != shape or name not in values:
-                raise ContractError(f"column {name} of the row has shape {part.shape}; expected {shape}")
-            parts.append(part.reshape(-1))
-        return np.concatenate(parts).astype("<f8").tobytes()
+            if part.shape != kind.shape or name not in values:
+                raise ContractError(f"column {name} of the row has shape {part.shape}; expected {kind.shape}")
+            self._row[name] = part
+        return self._row.tobytes()
 
     def write(self, rows: bytes) -> None:
         """Append packed rows.
@@ -79,6 +78,10 @@ class RowFile:
             self._file = -1
 
 
+def _layout(shapes: Mapping[str, Sequence[int]]) -> np.dtype[Any]:
+    return np.dtype([(name, "<f8", tuple(shape)) for name, shape in shapes.items()])
+
+
 def read_rows(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     """Return the columns of all complete rows, each (rows, *shape), and the metadata.
 
@@ -87,25 +90,13 @@ def read_rows(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     """
     if not path.is_file():
         raise AssetError(f"there is no file {path}")
-    shapes: dict[str, tuple[int, ...]] = {}
-    head: dict[str, Any] = {}
-    with open(path, "rb") as file:
-        try:
-            head = from_json(file.readline())
-            shapes = {str(name): tuple(map(int, shape)) for name, shape in head["shapes"].items()}
-            known = head["form"] == _FORM
-        except (ValueError, KeyError, TypeError, AttributeError):
-            known = False
-        if not known:
-            raise AssetError(f"{path} does not hold rows of a run; expected a file that begins with {_FORM!r}")
-        numbers = file.read()
-    sizes = [int(np.prod(shape, dtype=int)) for shape in shapes.values()]
-    width = sum(sizes)
-    rows = len(numbers) // (8 * width)
-    table = np.frombuffer(numbers[: rows * 8 * width], dtype="<f8").reshape(rows, width)
-    ends = np.cumsum(sizes)
-    columns = {
-        name: table[:, end - size : end].reshape(rows, *shape)
-        for (name, shape), size, end in zip(shapes.items(), sizes, ends, strict=True)
-    }
-    return columns, dict(head["metadata"])
+    line, _, numbers = path.read_bytes().partition(b"\n")
+    try:
+        head = from_json(line)
+        layout = _layout(head["shapes"])
+        if head["form"] != _FORM:
+            raise ValueError
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise AssetError(f"{path} does not hold rows of a run; expected one that begins with {_FORM!r}") from None
+    table = np.frombuffer(numbers, layout, len(numbers) // layout.itemsize)
+    return {name: table[name] for name in layout.names or ()}, dict(head["metadata"])

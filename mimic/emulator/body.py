@@ -11,6 +11,7 @@ from collections import deque
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.law import Law
@@ -38,7 +39,6 @@ class EmulatedBody:
         timestep: float = 0.0025,
         placement: float = 0.0,
         seed: int = 0,
-        visuals: bool = False,
     ) -> None:
         """Put the robot down; it sinks from its folded legs, as without power.
 
@@ -50,7 +50,6 @@ class EmulatedBody:
             timestep: Of the physics [s].
             placement: Joints are placed as far as this from the folded pose, before it sinks [rad].
             seed: Draws the placement, late and lost commands.
-            visuals: Keep the shapes that are only looked at.
 
         Raises:
             ConfigError: If the effects are not of this robot, or of a stand and it does not hang.
@@ -67,7 +66,7 @@ class EmulatedBody:
         )
         delays = [np.broadcast_to(p.pop(key, none)[0], 12) for key in (("delay", "time"), ("joint_delay", "time"))]
         self._delay = delays[0] + delays[1]
-        self.model = machine.model if suspended else load_model(d, visuals=visuals, driven=True)
+        self.model = machine.model if suspended else load_model(d, visuals=False, driven=True)
         model = self.model
         model.opt.timestep = timestep
         model.dof_solref[-12:] = [SOLREF_STEPS * timestep, 1.0]
@@ -77,7 +76,7 @@ class EmulatedBody:
             roll = float(p["base_tilt", "roll"][0, 0])
             pitch = float(p["base_tilt", "pitch"][0, 0])
             model.opt.gravity[:] = tilted_gravity(roll, pitch)
-            self._quat = _tilt(roll, pitch)
+            self._quat = Rotation.from_euler("xy", [roll, pitch]).as_quat(scalar_first=True)
         self.data = mujoco.MjData(model)
         self._rng = np.random.default_rng([seed, 17])
         self._order: IntArray = np.arange(12)
@@ -272,12 +271,3 @@ class EmulatedBody:
         if self.model.nq == 12:
             return self._quat, np.zeros(3)
         return self.data.qpos[3:7].copy(), self.data.qvel[3:6].copy()
-
-
-def _tilt(roll: float, pitch: float) -> FloatArray:
-    """Return the orientation of a trunk turned about x by roll, then about y by pitch [rad]."""
-    about_x = np.array([np.cos(roll / 2), np.sin(roll / 2), 0.0, 0.0])
-    about_y = np.array([np.cos(pitch / 2), 0.0, np.sin(pitch / 2), 0.0])
-    quat = np.zeros(4)
-    mujoco.mju_mulQuat(quat, about_y, about_x)
-    return quat

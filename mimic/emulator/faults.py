@@ -1,4 +1,4 @@
-"""What may go wrong with the emulated robot: said in a word, on a schedule in its own time, or drawn by a seed.
+"""What may go wrong with the emulated robot: said in a word, on a schedule in its own time.
 
 motor_dead:FL_knee@12.5        from 12.5 s on
 motor_hot:FR_hip=85@3-6        from 3 s to 6 s, with a value
@@ -11,89 +11,61 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from mimic.errors import ConfigError
+from mimic.frozen import frozen
 from mimic.records import JOINTS, FloatArray, IntArray
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FaultKind:
+class FaultKind(NamedTuple):
     """One thing that can go wrong."""
 
-    text: str
     scope: Literal["joint", "bus", "robot"]
     """Where it happens; a joint's fault must name one, a bus's without a place happens on all."""
     default: float = 1.0
     """Value where none is given."""
-    drawn: tuple[float, float] | None = None
-    """Range from which `random_fault` draws the value; None takes the default."""
-    unit: str = ""
 
 
-KINDS: dict[str, FaultKind] = {
-    "motor_dead": FaultKind(text="without power: silent and limp", scope="joint"),
-    "motor_mute": FaultKind(text="obeys, but its answers do not come", scope="joint"),
-    "motor_deaf": FaultKind(text="hears nothing and goes on with its last command", scope="joint"),
-    "motor_hot": FaultKind(text="at least this warm", scope="joint", default=85.0, drawn=(80.0, 120.0), unit="degC"),
-    "motor_fault": FaultKind(
-        text="reports these fault bits (1 under-voltage, 2 over-current, 4 over-temperature, 8 magnetic encoder, "
-        "16 Hall encoder, 32 not calibrated) and switches off",
-        scope="joint",
-        default=8.0,
-    ),
-    "motor_weak": FaultKind(text="gives this share of its torque limit", scope="joint", default=0.3, drawn=(0.0, 0.6)),
-    "motor_runaway": FaultKind(
-        text="gives this torque while it is on, whatever it is told",
-        scope="joint",
-        default=12.0,
-        drawn=(-12.0, 12.0),
-        unit="N m",
-    ),
-    "joint_jammed": FaultKind(
-        text="turns against this friction", scope="joint", default=30.0, drawn=(10.0, 30.0), unit="N m"
-    ),
-    "encoder_frozen": FaultKind(text="reads and controls an angle that no longer changes", scope="joint"),
-    "power_cycle": FaultKind(text="loses its power for a moment: off, parameters and zero forgotten", scope="joint"),
-    "under_voltage": FaultKind(text="all motors have this voltage", scope="robot", default=14.0, unit="V"),
-    "frames_lost": FaultKind(text="share of frames lost", scope="bus", default=0.1, drawn=(0.05, 1.0)),
-    "frames_late": FaultKind(text="frames come late by this", scope="bus", default=0.01, drawn=(0.002, 0.1), unit="s"),
-    "frames_doubled": FaultKind(text="share of frames that come twice", scope="bus", default=0.1, drawn=(0.05, 1.0)),
-    "frames_corrupted": FaultKind(
-        text="share of frames with a bit that is wrong", scope="bus", default=0.05, drawn=(0.01, 0.5)
-    ),
-    "frames_reordered": FaultKind(
-        text="share of messages overtaken by later ones (stock board)", scope="bus", default=0.1, drawn=(0.05, 0.5)
-    ),
-    "mode_refused": FaultKind(
-        text="the robot stands by its own order and does not enter motor mode (stock board)", scope="robot"
-    ),
-    "mode_returns": FaultKind(text="its own mode becomes active, as by its remote control (go2)", scope="robot"),
-    "service_silent": FaultKind(text="its services do not answer (go2)", scope="robot"),
-    "imu_silent": FaultKind(text="sends nothing", scope="robot"),
-    "imu_frozen": FaultKind(text="repeats its last sample, counter and all", scope="robot"),
-    "imu_stuck": FaultKind(text="repeats its last sample under a counter that goes on", scope="robot"),
-    "imu_invalid": FaultKind(text="calls its orientation invalid", scope="robot"),
-    "imu_tilted": FaultKind(
-        text="its orientation is wrong by this, about its y axis",
-        scope="robot",
-        default=0.5,
-        drawn=(0.3, 1.5),
-        unit="rad",
-    ),
-    "imu_forged": FaultKind(
-        text="share of orientations that are another one", scope="robot", default=0.1, drawn=(0.02, 0.5)
-    ),
-    "sign_wrong": FaultKind(text="its sign in the wiring is wrong", scope="joint"),
-    "motors_swapped": FaultKind(text="its motor and the next one of its leg are swapped", scope="joint"),
-    "legs_swapped": FaultKind(text="its leg and the other one at that end are swapped", scope="joint"),
-    "stalled": FaultKind(text="the adapter keeps everything back and lets it go at the end", scope="bus"),
-    "bus_off": FaultKind(text="nothing gets through, and no error is reported", scope="bus"),
-    "unplugged": FaultKind(text="the adapter is gone: the connection breaks", scope="bus"),
+KINDS = {
+    "motor_dead": FaultKind("joint"),  # without power: silent and limp
+    "motor_mute": FaultKind("joint"),  # obeys, but its answers do not come
+    "motor_deaf": FaultKind("joint"),  # hears nothing and goes on with its last command
+    "motor_hot": FaultKind("joint", 85.0),  # at least this warm [degC]
+    # reports these fault bits (1 under-voltage, 2 over-current, 4 over-temperature, 8 magnetic encoder, 16 Hall
+    # encoder, 32 not calibrated) and switches off
+    "motor_fault": FaultKind("joint", 8.0),
+    "motor_weak": FaultKind("joint", 0.3),  # gives this share of its torque limit
+    "motor_runaway": FaultKind("joint", 12.0),  # gives this torque while it is on, whatever it is told [N m]
+    "joint_jammed": FaultKind("joint", 30.0),  # turns against this friction [N m]
+    "encoder_frozen": FaultKind("joint"),  # reads and controls an angle that no longer changes
+    "power_cycle": FaultKind("joint"),  # loses its power for a moment: off, parameters and zero forgotten
+    "under_voltage": FaultKind("robot", 14.0),  # all motors have this voltage [V]
+    "frames_lost": FaultKind("bus", 0.1),  # share of frames lost
+    "frames_late": FaultKind("bus", 0.01),  # frames come late by this [s]
+    "frames_doubled": FaultKind("bus", 0.1),  # share of frames that come twice
+    "frames_corrupted": FaultKind("bus", 0.05),  # share of frames with a bit that is wrong
+    "frames_reordered": FaultKind("bus", 0.1),  # share of messages overtaken by later ones (stock board)
+    "mode_refused": FaultKind("robot"),  # the robot stands by its own order and does not enter motor mode (stock board)
+    "mode_returns": FaultKind("robot"),  # its own mode becomes active, as by its remote control (go2)
+    "service_silent": FaultKind("robot"),  # its services do not answer (go2)
+    "imu_silent": FaultKind("robot"),  # sends nothing
+    "imu_frozen": FaultKind("robot"),  # repeats its last sample, counter and all
+    "imu_stuck": FaultKind("robot"),  # repeats its last sample under a counter that goes on
+    "imu_invalid": FaultKind("robot"),  # calls its orientation invalid
+    "imu_tilted": FaultKind("robot", 0.5),  # its orientation is wrong by this, about its y axis [rad]
+    "imu_forged": FaultKind("robot", 0.1),  # share of orientations that are another one
+    "sign_wrong": FaultKind("joint"),  # its sign in the wiring is wrong
+    "motors_swapped": FaultKind("joint"),  # its motor and the next one of its leg are swapped
+    "legs_swapped": FaultKind("joint"),  # its leg and the other one at that end are swapped
+    "stalled": FaultKind("bus"),  # the adapter keeps everything back and lets it go at the end
+    "bus_off": FaultKind("bus"),  # nothing gets through, and no error is reported
+    "unplugged": FaultKind("bus"),  # the adapter is gone: the connection breaks
 }
+"""Kinds of faults, with what happens and the unit of the value."""
 
 
 MISWIRED = ("sign_wrong", "motors_swapped", "legs_swapped")
@@ -126,7 +98,7 @@ def miswiring(faults: Iterable[EmulatedFault]) -> tuple[IntArray, FloatArray]:
     return order, sign
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class EmulatedFault:
     """One fault on the schedule."""
 
@@ -160,6 +132,30 @@ class EmulatedFault:
         if not self.after_release:
             return self
         return replace(self, start=t + self.start, until=t + self.until, after_release=False)
+
+
+class Schedule:
+    """The faults of a robot, and chance."""
+
+    def __init__(self, faults: Iterable[EmulatedFault], rng: np.random.Generator) -> None:
+        self.faults = list(faults)
+        self._rng = rng
+
+    def value(self, kind: str, t: float, *, joint: int | None = None, bus: int | None = None) -> float | None:
+        """Return the value of a fault that is there at time t [s], or None."""
+        for fault in self.faults:
+            if fault.kind == kind and fault.joint == joint and fault.bus in (None, bus) and fault.active(t):
+                return fault.value
+        return None
+
+    def happens(self, kind: str, t: float, bus: int | None = None) -> bool:
+        """Return whether a fault strikes now, whose value is the share in which it does."""
+        share = self.value(kind, t, bus=bus)
+        return share is not None and bool(self._rng.random() < share)
+
+    def release(self, t: float) -> None:
+        """Let times count that begin when the first motor is switched on, at time t [s]."""
+        self.faults = [fault.released(t) for fault in self.faults]
 
 
 _FORM = re.compile(
@@ -204,28 +200,3 @@ def parse_fault(text: str) -> EmulatedFault:
         bus = int(place[3:])
     after = found["plus"] is not None
     return EmulatedFault(kind=name, value=value, start=start, until=until, joint=joint, bus=bus, after_release=after)
-
-
-def random_fault(
-    seed: int, *, start: tuple[float, float], after_release: bool = False, kinds: tuple[str, ...] = CAN_KINDS
-) -> EmulatedFault:
-    """Return a fault drawn by a seed: kind, place, value, begin, and whether and when it passes.
-
-    Args:
-        seed: The same seed and ranges give the same fault.
-        start: Range of its begin [s].
-        after_release: Count from when the first motor is switched on.
-        kinds: To draw from; miswired joints are not drawn.
-    """
-    rng = np.random.default_rng([seed, 23])
-    name = str(rng.choice([kind for kind in kinds if kind not in MISWIRED]))
-    kind = KINDS[name]
-    begin = float(rng.uniform(*start))
-    lasts = math.inf if rng.random() < 0.5 else float(rng.choice([0.05, 0.2, 1.0]))
-    value = kind.default if kind.drawn is None else float(rng.uniform(*kind.drawn))
-    if name == "motor_fault":
-        value = float(1 << int(rng.integers(6)))
-    joint = int(rng.integers(len(JOINTS))) if kind.scope == "joint" else None
-    return EmulatedFault(
-        kind=name, value=value, start=begin, until=begin + lasts, joint=joint, after_release=after_release
-    )

@@ -6,24 +6,36 @@ It turns commands into a `Drive`; the physics is in `mimic.emulator.body`.
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass, field
-from enum import IntFlag
 from typing import NamedTuple
 
 from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.motors.cybergear.codec import TORQUE, Codec, HostMessage, MotorMessage, ParameterValue
-from mimic.hardware.motors.cybergear.parameters import (
+from mimic.hardware.motors.cybergear.codec import (
+    BROADCAST,
     CAN_TIMEOUT,
+    FAULT_ORDER,
     IQF,
     LIMIT_TORQUE,
     MECH_POS,
     OPERATION_MODE,
     PARAMETERS,
     RUN_MODE,
+    TEMPERATURE,
+    TORQUE,
     VBUS,
+    VELOCITY,
+    Codec,
     Fault,
+    HostMessage,
     Kind,
+    MotorMessage,
+    ParameterValue,
+    check_ids,
+    frame_of,
+    parameter_bytes,
+    to_word,
 )
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorMode
 
@@ -48,26 +60,13 @@ TIMEOUT_TICK = 50e-6
 """Unit of CAN_TIMEOUT in firmware that supports it [s]: that of the successor family (20000 = 1 s)."""
 
 
-class DetailedFault(IntFlag):
-    """Faults in a fault report; manual 4.1.14. The manual does not say more about the eight bits of overload."""
-
-    OVER_TEMPERATURE = 1 << 0
-    DRIVER_CHIP = 1 << 1
-    UNDER_VOLTAGE = 1 << 2
-    OVER_VOLTAGE = 1 << 3
-    PHASE_B_OVER_CURRENT = 1 << 4
-    PHASE_C_OVER_CURRENT = 1 << 5
-    NOT_CALIBRATED = 1 << 7
-    OVERLOAD = 0xFF << 8
-    PHASE_A_OVER_CURRENT = 1 << 16
-
-
-_DETAIL = {
-    Fault.UNDER_VOLTAGE: DetailedFault.UNDER_VOLTAGE,
-    Fault.OVER_CURRENT: DetailedFault.PHASE_A_OVER_CURRENT,
-    Fault.OVER_TEMPERATURE: DetailedFault.OVER_TEMPERATURE,
-    Fault.NOT_CALIBRATED: DetailedFault.NOT_CALIBRATED,
+DETAIL = {
+    Fault.UNDER_VOLTAGE: 1 << 2,
+    Fault.OVER_CURRENT: 1 << 16,  # of phase A
+    Fault.OVER_TEMPERATURE: 1 << 0,
+    Fault.NOT_CALIBRATED: 1 << 7,
 }
+"""Bits of a fault report; manual 4.1.14. It has none of an encoder, whose faults only the feedback reports."""
 
 
 class Drive(NamedTuple):
@@ -81,6 +80,11 @@ class Drive(NamedTuple):
     tau: float = 0.0
     limit: float = TORQUE[1]
     """Greatest torque [N m]."""
+
+    @property
+    def drives(self) -> bool:
+        """Whether it has stiffness or a torque."""
+        return self.kp > 0.0 or abs(self.tau) > LEAST_TORQUE
 
 
 class Measured(NamedTuple):
@@ -220,9 +224,7 @@ class EmulatedMotor:
 
     def _write(self, index: int, value: float) -> None:
         running = self.mode is MotorMode.RUNNING
-        if not PARAMETERS[index].writable or (index == RUN_MODE and running):
-            return
-        if index == CAN_TIMEOUT and not self.timeout_honoured:
+        if (index == RUN_MODE and running) or (index == CAN_TIMEOUT and not self.timeout_honoured):
             return
         self.values[index] = value
         if running and index == LIMIT_TORQUE:
@@ -258,10 +260,32 @@ class EmulatedMotor:
         if now == self._reported:
             return None
         self._reported = now
-        detail = DetailedFault(0)
-        for fault, named in _DETAIL.items():
-            detail |= named if fault in self.faults else DetailedFault(0)
+        detail = sum(bit for fault, bit in DETAIL.items() if fault in self.faults)
         if self.faults and not detail:
-            return None  # such as an encoder's, which only the feedback reports
-        said = FaultReport(motor=self.id, faults=int(detail), warnings=int(now[1]))
+            return None
+        said = FaultReport(motor=self.id, faults=detail, warnings=int(now[1]))
         return MotorMessage(said, self.host)
+
+
+def encode_answer(codec: Codec, message: MotorMessage) -> CanFrame:
+    """Return the frame of what a motor says.
+
+    Raises:
+        FrameError: If a number is not finite, or an id or index does not exist.
+    """
+    said = message.said
+    host = message.host
+    check_ids(said.motor, host)
+    match said:
+        case Feedback():
+            words = (to_word(said.q, *codec.position), to_word(said.dq, *VELOCITY), to_word(said.tau, *TORQUE))
+            data = struct.pack(">4H", *words, to_word(said.temperature, *TEMPERATURE))
+            return frame_of(Kind.FEEDBACK, said.mode << 14 | said.faults << 8 | said.motor, host, data)
+        case Identity():
+            return frame_of(Kind.DEVICE_ID, said.motor, BROADCAST, said.uid.to_bytes(8, "little"))
+        case ParameterValue():
+            assert said.value is not None
+            return frame_of(Kind.READ, said.motor, host, parameter_bytes(said.index, said.value))
+        case FaultReport():
+            words = (said.faults, said.warnings)
+            return frame_of(Kind.FAULT, said.motor, host, b"".join(w.to_bytes(4, FAULT_ORDER) for w in words))

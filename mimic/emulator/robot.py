@@ -16,18 +16,14 @@ import numpy as np
 from mimic.config.emulator import EmulateSettings
 from mimic.dynamics.effect_set import EffectSet
 from mimic.emulator.body import EmulatedBody
-from mimic.emulator.broken_drives import KINDS as BROKEN
-from mimic.emulator.broken_drives import BrokenDrives
 from mimic.emulator.bus import EmulatedBus, Sent
-from mimic.emulator.faults import EmulatedFault, miswiring
+from mimic.emulator.faults import EmulatedFault, Schedule, miswiring
 from mimic.emulator.imu import EmulatedMti
-from mimic.emulator.motor import FREE, LEAST_TORQUE, ROTOR_TURN, Drive, EmulatedMotor, Measured
-from mimic.emulator.motor_frames import encode_answer
+from mimic.emulator.motor import FREE, ROTOR_TURN, Drive, EmulatedMotor, Measured, encode_answer
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame, Received
 from mimic.hardware.can.wiring import Wiring
-from mimic.hardware.motors.cybergear.codec import Codec, MotorMessage
-from mimic.hardware.motors.cybergear.parameters import Fault
+from mimic.hardware.motors.cybergear.codec import Codec, Fault, MotorMessage
 from mimic.hardware.motors.interface import MotorMode
 from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription
@@ -45,6 +41,9 @@ POWER_UP = 0.05
 """Motors announce their ids within this time after power-up [s]."""
 
 IMU = "imu"
+
+BROKEN = ("motor_weak", "motor_runaway", "joint_jammed", "encoder_frozen")
+"""Faults of drives, joints and encoders."""
 
 
 @dataclass(eq=False)
@@ -71,7 +70,6 @@ class EmulatedRobot:
         effects: EffectSet | None = None,
         faults: Sequence[EmulatedFault] = (),
         timestep: float = 0.0025,
-        visuals: bool = False,
     ) -> None:
         """Switch the robot on.
 
@@ -82,7 +80,6 @@ class EmulatedRobot:
             effects: Hidden effects of its drives, links and encoders.
             faults: Scheduled faults; more by `inject`.
             timestep: Of the physics [s]; no more than SUSPENDED_TIMESTEP for a robot that hangs.
-            visuals: Keep the visual shapes.
 
         Raises:
             ConfigError: If the effects are not of this robot, or the bus of a fault does not exist.
@@ -99,7 +96,6 @@ class EmulatedRobot:
             timestep=min(timestep, SUSPENDED_TIMESTEP) if s.suspended else timestep,
             placement=s.placement,
             seed=s.seed,
-            visuals=visuals,
         )
         self.buses = [EmulatedBus(wiring.bitrate) for _ in range(wiring.buses)]
         self.imu = EmulatedMti(wiring.imu, noise=s.imu_noise, seed=s.seed)
@@ -109,7 +105,7 @@ class EmulatedRobot:
         self._on = False
         self._without_zero = set[int]() if s.zeroed else set(range(len(JOINTS)))
         self._rng = np.random.default_rng([s.seed, 29])
-        self.faults: list[EmulatedFault] = []
+        self.schedule = Schedule((), self._rng)
         self._happened: set[int] = set()
         self._codec = Codec(position_range=s.position_range, host=wiring.host)
         self.motors = [
@@ -128,7 +124,8 @@ class EmulatedRobot:
         for joint, bus in enumerate(wiring.bus):
             self._on_bus[bus].append(joint)
         self._driven: list[Drive | None] = [FREE] * len(JOINTS)
-        self._broken = BrokenDrives(wiring, self.body, lambda kind, i: self._value(kind, joint=i))
+        self._stuck: dict[int, float] = {}
+        """Joints whose encoder is frozen -> the angle that it reads [rad]."""
         self.events: deque[tuple[float, str]] = deque(maxlen=1000)
         """Log of events with their times [s]: faults, the first motor switched on."""
         self._late: list[tuple[float, int, int, Sent]] = []
@@ -156,7 +153,7 @@ class EmulatedRobot:
         """
         if fault.bus is not None and fault.bus >= len(self.buses):
             raise ConfigError(f"the fault {fault} is on bus {fault.bus}; this robot has {len(self.buses)}")
-        self.faults.append(fault.released(self.now) if self._on else fault)
+        self.schedule.faults.append(fault.released(self.now) if self._on else fault)
 
     def connect(self, *, bus: int | None = None) -> Host:
         """Return a new host, on one bus or on all."""
@@ -191,7 +188,7 @@ class EmulatedRobot:
         soonest = min(self.imu.next_sample, self._next_check, *(bus.next_event for bus in self.buses))
         if self._late:
             soonest = min(soonest, self._late[0][0])
-        for i, fault in enumerate(self.faults):
+        for i, fault in enumerate(self.schedule.faults):
             if i not in self._happened and not fault.after_release:
                 soonest = min(soonest, fault.start)
         return soonest
@@ -212,10 +209,8 @@ class EmulatedRobot:
 
     def driven(self) -> tuple[str, ...]:
         """Return the joints whose motors are on with stiffness or torque, rather than damped."""
-        drives = {name: motor.drive for name, motor in zip(JOINTS, self.motors, strict=True)}
-        return tuple(
-            name for name in self.switched_on() if drives[name].kp > 0.0 or abs(drives[name].tau) > LEAST_TORQUE
-        )
+        on = self.switched_on()
+        return tuple(n for n, motor in zip(JOINTS, self.motors, strict=True) if n in on and motor.drive.drives)
 
     def load(self, bus: int = 0) -> float:
         """Return the share of time that a bus was busy since power-up."""
@@ -225,7 +220,7 @@ class EmulatedRobot:
 
     def _happen(self) -> None:
         """Process all events that are due now."""
-        for i, fault in enumerate(self.faults):
+        for i, fault in enumerate(self.schedule.faults):
             if i not in self._happened and fault.start <= self.now and not fault.after_release:
                 self._happened.add(i)
                 self.events.append((self.now, str(fault)))
@@ -258,19 +253,16 @@ class EmulatedRobot:
 
     def _pass_on(self, index: int, sent: Sent) -> None:
         """Deliver a frame to its receivers: once, twice, late, corrupted or never."""
-        if not self.faults:
+        if not self.schedule.faults:
             return self._deliver(index, sent)
-        lost = self._value("frames_lost", bus=index)
-        twice = self._value("frames_doubled", bus=index)
-        wrong = self._value("frames_corrupted", bus=index)
-        late = self._value("frames_late", bus=index)
-        if lost is not None and self._rng.random() < lost:
+        happens = self.schedule.happens
+        if happens("frames_lost", self.now, index):
             return
-        if wrong is not None and self._rng.random() < wrong:
+        if happens("frames_corrupted", self.now, index):
             sent = sent._replace(frame=self._corrupted(sent.frame))
-        count = 2 if twice is not None and self._rng.random() < twice else 1
+        count = 2 if happens("frames_doubled", self.now, index) else 1
         held = self._held_until(index) if not sent.node.startswith("host") else 0.0
-        due = max(sent.t + (late or 0.0), held)
+        due = max(sent.t + (self._value("frames_late", bus=index) or 0.0), held)
         for _ in range(count):
             if due > sent.t:
                 self._late_count += 1
@@ -310,7 +302,7 @@ class EmulatedRobot:
             self._on = True
             self.body.release()
             self.events.append((self.now, "first motor switched on; the robot is no longer held"))
-            self.faults = [fault.released(self.now) for fault in self.faults]
+            self.schedule.release(self.now)
         if answer is not None:
             self._answer(i, answer, sent.t + self.settings.reply)
 
@@ -336,17 +328,37 @@ class EmulatedRobot:
         if drive is self._driven[i]:
             return
         self._driven[i] = drive
-        drive = self._broken.drive(i, drive, running=self.motors[i].mode is MotorMode.RUNNING)
         sign = float(self.wiring.sign[i])
         offset = float(self.wiring.offset[i])
+        drive = self._broken(i, drive, sign, offset)
         drive = drive._replace(q=sign * drive.q + offset, dq=sign * drive.dq, tau=sign * drive.tau)
         self.body.drive(i, drive, self.now)
+
+    def _broken(self, i: int, drive: Drive, sign: float, offset: float) -> Drive:
+        """Return what a motor does instead of what it is told, in its own sign and zero."""
+        runaway = self._value("motor_runaway", joint=i)
+        weak = self._value("motor_weak", joint=i)
+        if runaway is not None and self.motors[i].mode is MotorMode.RUNNING:
+            return Drive(tau=runaway, limit=abs(runaway))
+        if i in self._stuck:
+            tau = drive.tau + drive.kp * (drive.q - sign * (self._stuck[i] - offset)) + drive.kd * drive.dq
+            drive = Drive(tau=float(np.clip(tau, -drive.limit, drive.limit)), limit=drive.limit)
+        return drive if weak is None else drive._replace(limit=weak * drive.limit)
+
+    def _break(self, i: int) -> None:
+        """Let faults of a drive begin and end."""
+        if self._value("encoder_frozen", joint=i) is None:
+            self._stuck.pop(i, None)
+        elif i not in self._stuck:
+            self._stuck[i] = self.body.joint(i, self.now)[0]
+        self.body.jam(i, self._value("joint_jammed", joint=i) or 0.0)
+        self._driven[i] = None  # so that it is driven anew
 
     def _measured(self, i: int) -> Measured:
         self.body.advance(self.now)
         q, dq, tau = self.body.joint(i, self.now)
-        if i in self._broken.stuck:
-            q = self._broken.stuck[i]
+        if i in self._stuck:
+            q = self._stuck[i]
             dq = 0.0
         sign = float(self.wiring.sign[i])
         offset = float(self.wiring.offset[i])
@@ -367,9 +379,8 @@ class EmulatedRobot:
             bits = self._value("motor_fault", joint=i)
             more = Fault(0) if bits is None else Fault(int(bits) & 0x3F)
             report = motor.check_faults(self.now, *self._heat_and_voltage(i), more)
-            if any(fault.joint == i and fault.kind in BROKEN for fault in self.faults):
-                self._broken.update(i, self.now)
-                self._driven[i] = None  # so that it is driven anew
+            if any(fault.joint == i and fault.kind in BROKEN for fault in self.schedule.faults):
+                self._break(i)
             self._apply(i)
             if report is not None:
                 self._answer(i, report, self.now)
@@ -389,21 +400,17 @@ class EmulatedRobot:
 
     def _tilt(self) -> float:
         """Return by what the next orientation is wrong [rad]."""
-        forged = self._value("imu_forged")
-        if forged is not None and self._rng.random() < forged:
+        if self.schedule.happens("imu_forged", self.now):
             return float(self._rng.uniform(0.5, 3.0))
         return self._value("imu_tilted") or 0.0
 
     def _value(self, kind: str, *, joint: int | None = None, bus: int | None = None) -> float | None:
         """Return the value of an active fault, or None."""
-        if not self.faults:
-            return None
-        for fault in self.faults:
-            if fault.kind == kind and fault.joint == joint and fault.bus in (None, bus) and fault.active(self.now):
-                return fault.value
-        return None
+        return self.schedule.value(kind, self.now, joint=joint, bus=bus)
 
     def _held_until(self, bus: int) -> float:
         """Return until when the adapter of a bus holds frames back [s]; 0 if it does not."""
-        ends = [f.until for f in self.faults if f.kind == "stalled" and f.bus in (None, bus) and f.active(self.now)]
+        ends = [
+            f.until for f in self.schedule.faults if f.kind == "stalled" and f.bus in (None, bus) and f.active(self.now)
+        ]
         return max(ends, default=0.0)

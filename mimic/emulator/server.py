@@ -42,25 +42,6 @@ MOST_WAITING = 1 << 20
 """A client of socketcand that leaves more than this many bytes unread is dropped; a serial adapter drops frames."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class EmulatorStatus:
-    """Statistics of the emulation since the last call."""
-
-    t: float
-    """Time of the emulation [s]."""
-    load: tuple[float, ...]
-    """Share of the time that each bus was busy."""
-    frames: tuple[float, ...]
-    """Frames a second on each bus."""
-    clients: int
-    late: int
-    """Frames handed out more than 2 ms after they were on the bus."""
-    latest: float
-    """Longest delay of a frame [s]."""
-    stood_still: float
-    """How long emulated time stopped because the machine was too slow [s]."""
-
-
 @dataclass(eq=False)
 class _Client:
     file: int
@@ -182,34 +163,24 @@ class EmulatorServer:
             self._begin += behind - CATCH_UP
             self.stood_still += behind - CATCH_UP
 
-    def status(self) -> EmulatorStatus:
-        """Return the statistics since the last call."""
+    def line(self) -> str:
+        """Return a line of the statistics since the last one."""
         robot = self.robot
         (before, counts, late, stood_still) = self._before
         span = max(robot.now - before, 1e-9)
         self._before = _, now, _, _ = self._totals()
-        status = EmulatorStatus(
-            t=robot.now,
-            load=tuple((a[0] - b[0]) / robot.wiring.bitrate / span for a, b in zip(now, counts, strict=True)),
-            frames=tuple((a[1] - b[1]) / span for a, b in zip(now, counts, strict=True)),
-            clients=sum(client.host is not None for client in self._clients),
-            late=self.late - late,
-            latest=self._latest,
-            stood_still=self.stood_still - stood_still,
-        )
-        self._latest = 0.0
-        return status
-
-    def line(self) -> str:
-        """Return a line of the statistics since the last one."""
-        status = self.status()
         buses = ", ".join(
-            f"{load:.1%} at {rate:.0f} frames/s" for load, rate in zip(status.load, status.frames, strict=True)
+            f"{(a[0] - b[0]) / robot.wiring.bitrate / span:.1%} at {(a[1] - b[1]) / span:.0f} frames/s"
+            for a, b in zip(now, counts, strict=True)
         )
-        late = f"; {status.late} frames late, {1e3 * status.latest:.1f} ms at most" if status.late else ""
-        still = f"; stood still for {status.stood_still:.2f} s" if status.stood_still else ""
-        clients = f"{status.clients} client{'s' if status.clients != 1 else ''}"
-        return f"{status.t:9.1f} s  bus load {buses}; {clients}{late}{still}"
+        clients = sum(client.host is not None for client in self._clients)
+        line = f"{robot.now:9.1f} s  bus load {buses}; {clients} client{'s' if clients != 1 else ''}"
+        if self.late > late:
+            line += f"; {self.late - late} frames late, {1e3 * self._latest:.1f} ms at most"
+        if self.stood_still > stood_still:
+            line += f"; stood still for {self.stood_still - stood_still:.2f} s"
+        self._latest = 0.0
+        return line
 
     def figures(self) -> dict[str, str]:
         """Return rows of a table of what has happened."""

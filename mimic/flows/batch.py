@@ -10,7 +10,6 @@ import shutil
 import time
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from mimic.flows.play import load_robot, play, settings_of, shipped_sit_down
 from mimic.flows.provenance import COMMAND, provenance
 from mimic.flows.reporter import Reporter, SilentReporter, reporting
 from mimic.flows.run_folder import METRICS, TARGETS, save_logs
+from mimic.frozen import frozen, frozen_arrays
 from mimic.io import store
 from mimic.jobs.local import Progress
 from mimic.version import __version__
@@ -64,7 +64,7 @@ ROW: Mapping[str, type] = {
 """Columns of the table."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class Job:
     """One file and all that decides what becomes of it."""
 
@@ -81,7 +81,7 @@ class Job:
     command: str
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Batch:
     """What came of a folder."""
 

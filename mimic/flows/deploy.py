@@ -110,7 +110,7 @@ def _order(robot: str) -> tuple[list[int], str]:
     if load is None:
         return list(range(12)), "not known: set the mapping of joints"
     wiring = load()
-    return wiring.index.tolist(), f"as in the mapping of joints, with signs {wiring.sign.astype(int).tolist()}"
+    return wiring.index.tolist(), f"as in the mapping of joints, with signs {wiring.signs.astype(int).tolist()}"
 
 
 def _rl_sar(contract: PolicyContract, order: list[int]) -> dict[str, Any]:

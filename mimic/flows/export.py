@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ConfigError
+from mimic.flows.play import robot_of
 from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import LOG, SCRIPT
 from mimic.io import store
@@ -114,9 +114,8 @@ def _motion(log: RunLog, form: Format, folder: Path) -> dict[str, Any]:
     """Return a run as a motion file of mjlab or GMR, at equal time steps."""
     from mimic.control.dropouts import fill_dropouts
     from mimic.flows.motions.motion_layouts import gmr_motion, mjlab_motion
-    from mimic.robot.description import load_description
 
-    description = load_description(str(log.metadata.get("robot", DEFAULT_ROBOT)))
+    description = robot_of(log)
     fps = _rate(log, folder)
     ticks = _even_ticks(log, fps)
     log = fill_dropouts(log, description)
@@ -130,10 +129,9 @@ def _messages(log: RunLog) -> RosRun:
     from mimic.control.dropouts import fill_dropouts
     from mimic.dynamics.robot_model import load_model
     from mimic.io.mcap_file import RosRun
-    from mimic.robot.description import load_description
     from mimic.view.scene.robot_shapes import body_poses, qpos_at_ticks
 
-    description = load_description(str(log.metadata.get("robot", DEFAULT_ROBOT)))
+    description = robot_of(log)
     model = load_model(description)
     filled = fill_dropouts(log, description)
     position, quat = body_poses(model, qpos_at_ticks(filled, model))
@@ -221,7 +219,7 @@ def _export_dataset(folders: list[Path], out: Path, *, video: bool, reporter: Re
 
     logs = [store.load(folder / LOG, RunLog) for folder in folders]
     rates = {_rate(log, folder) for log, folder in zip(logs, folders, strict=True)}
-    robots = {str(log.metadata.get("robot", DEFAULT_ROBOT)) for log in logs}
+    robots = {robot_of(log).name for log in logs}
     if len(rates) > 1 or len(robots) > 1:
         raise ConfigError(f"a dataset has one robot and one rate; these runs have {robots} at {rates} Hz")
     fps = rates.pop()
@@ -266,7 +264,6 @@ def _film(
     path: Path, log: RunLog, ticks: np.ndarray, fps: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Write a film with a picture for each tick; return minimum, maximum, mean and deviation of its colours (3,)."""
-    from mimic.robot.description import load_description
     from mimic.view.film.footage import encode_h264
     from mimic.view.film.side_by_side import RobotFilm
 
@@ -274,7 +271,7 @@ def _film(
     seen: list[np.ndarray] = []
 
     def pictures() -> Iterator[np.ndarray]:
-        robot = load_description(str(log.metadata.get("robot", DEFAULT_ROBOT)))
+        robot = robot_of(log)
         with RobotFilm(log, robot, width=width, height=height) as film:
             for tick in ticks:
                 picture = film.picture(int(tick))

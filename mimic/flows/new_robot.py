@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from scipy.optimize import brentq
 
 from mimic.config.text_file import from_toml, read_text
 from mimic.errors import AssetError, ConfigError
+from mimic.frozen import frozen_arrays
 from mimic.io import store
 from mimic.io.assets import shipped
 from mimic.records import LEGS, FloatArray, IntArray
@@ -52,7 +52,7 @@ UNUSED = {
 """What describes the Go2's own MJCF, or its motors."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class _Legs:
     """The legs of a compiled model, by their roles."""
 

@@ -63,11 +63,16 @@ def load_robot(name: str | Path = DEFAULT_ROBOT) -> RobotDescription:
     return load_description(name)
 
 
-def robot_on(bus_url: str) -> str:
-    """Return the name of the robot behind some buses: a board's own robot, or the default one's motors on CAN."""
+def robot_on(bus_url: str) -> RobotDescription:
+    """Return the robot behind some buses: a board's own robot, or the default one's motors on CAN."""
     from mimic.hardware.robot.board_wiring import BOARDS
 
-    return bus_url if bus_url in BOARDS else DEFAULT_ROBOT
+    return load_robot(bus_url if bus_url in BOARDS else DEFAULT_ROBOT)
+
+
+def robot_of(log: RunLog) -> RobotDescription:
+    """Return the robot of a run."""
+    return load_robot(str(log.metadata.get("robot", DEFAULT_ROBOT)))
 
 
 def load_policy(policy: str | Path | None = None, robot: RobotDescription | None = None) -> Policy:
@@ -256,7 +261,7 @@ def load_run(folder: str | Path) -> SavedRun:
     def stored(name: str, kind: type[store.R]) -> store.R | None:
         return store.load(folder / name, kind) if (folder / name).is_file() else None
 
-    description = load_robot(str(log.metadata.get("robot", DEFAULT_ROBOT)))
+    description = robot_of(log)
     motion = None
     targets = stored(TARGETS, TargetTrack)
     commands = stored(COMMANDS, CommandTrack)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from mimic.errors import ConfigError
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, reporting
+from mimic.frozen import frozen_arrays
 from mimic.io import store
 from mimic.records import HealthLog, Provenance, RunLog
 from mimic.records.table import ShownAsTable
@@ -37,7 +38,7 @@ SCENE = "scene.rrd"
 ERROR = "error.txt"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@frozen_arrays
 class Run(ShownAsTable):
     """What came of playing a motion."""
 
@@ -113,7 +114,7 @@ class Run(ShownAsTable):
         return save_run(self, Path(folder), reporting(reporter))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class SavedRun(ShownAsTable):
     """A run and what was written of it."""
 

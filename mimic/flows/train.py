@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any
 
 from mimic.config.play import DEFAULT_ROBOT, EffectsSettings
 from mimic.config.text_file import from_toml
 from mimic.config.training import LearnSettings, MdpSettings
-from mimic.config.values import expected, fitted, read_toml
+from mimic.config.values import made, read_toml
 from mimic.errors import AssetError, ConfigError, MissingExtra
 from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, reporting
 from mimic.io.assets import shipped
-
-S = TypeVar("S")
 
 RECIPES = ("stand_track", "sit_down", "go2_stand_track")
 """Shipped recipes, in policies/."""
@@ -44,7 +42,7 @@ def training_settings(recipe: str = RECIPES[0], words: Sequence[str] = ()) -> tu
             if at is None:
                 known = ", ".join(name for s in settings for name in _names(s))
                 raise ConfigError(f"there is no setting {name!r}; there are {known}")
-            changed = _changed(settings[at], {name: value})
+            changed = made(type(settings[at]), {name: value}, base=settings[at])
             settings = (*settings[:at], changed, *settings[at + 1 :])
     return settings  # type: ignore[return-value]
 
@@ -64,27 +62,6 @@ def _table(word: str) -> dict[str, Any]:
 
 def _names(settings: Any) -> list[str]:
     return [f.name for f in dataclasses.fields(settings)]
-
-
-def _changed(settings: S, table: Mapping[str, Any], above: str = "") -> S:
-    """Return settings with the values of a table, and of its tables."""
-    hints = get_type_hints(type(settings))
-    values = {}
-    for name, value in table.items():
-        whole = above + name
-        if name not in hints:
-            raise ConfigError(f"there is no setting {whole!r}; there are {', '.join(_names(settings))}")
-        if dataclasses.is_dataclass(hints[name]):
-            if not isinstance(value, dict):
-                fields = ", ".join(f"{whole}.{field}" for field in _names(hints[name]))
-                raise ConfigError(f"{whole} is {value!r}; set one of its fields: {fields}")
-            values[name] = _changed(getattr(settings, name), value, f"{whole}.")
-            continue
-        try:
-            values[name] = fitted(value, hints[name])
-        except TypeError:
-            raise ConfigError(f"{whole} is {value!r}; expected {expected(hints[name])}") from None
-    return dataclasses.replace(settings, **values)  # type: ignore[type-var]
 
 
 def train(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,35 +11,29 @@ import numpy as np
 
 from mimic.config.hardware import LookSettings
 from mimic.errors import BusError
-from mimic.flows.play import load_robot, robot_on
+from mimic.flows.play import robot_on
+from mimic.frozen import frozen_arrays
 from mimic.geometry import rpy_from_quat
+from mimic.hardware.bus_lock import bus_lock
+from mimic.hardware.can.zeros import zero_problems
+from mimic.hardware.robot.board_wiring import BOARDS
+from mimic.hardware.robot.driver import SILENT, newest
+from mimic.hardware.robot.opening import open_driver
+from mimic.hardware.session import driver_settings, open_session
 from mimic.records import FloatArray
 
 if TYPE_CHECKING:
-    from mimic.commissioning.watching import Watcher
-    from mimic.hardware.session import BusSession
+    from mimic.robot.description import RobotDescription
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Watched:
     """What a robot says at one moment."""
 
     t: float
     """Time since watching began [s]."""
-    q: FloatArray
-    """Joint angles (12,) [rad]; NaN where nothing came."""
-    dq: FloatArray
-    """Joint velocities (12,) [rad/s]."""
-    tau: FloatArray
-    """Torques (12,) [N m]; NaN where not known."""
-    temperature: FloatArray
-    """(12,) [degC]; NaN where not known."""
-    errors: Sequence[int]
-    """Error bits of each motor (12,)."""
-    quat_WB: FloatArray
-    """Orientation of the base, wxyz (4,)."""
-    omega_B: FloatArray
-    """Rate of turn, base axes (3,) [rad/s]."""
+    report: Any
+    """Newest readings; a scalar of `mimic.hardware.robot.driver.REPORT`, NaN where nothing came."""
     rates: Mapping[str, float]
     """Messages a second of each kind."""
     notes: Sequence[str]
@@ -49,7 +42,7 @@ class Watched:
     @property
     def rpy(self) -> FloatArray:
         """Roll, pitch and yaw of the base (3,) [rad]."""
-        return rpy_from_quat(self.quat_WB)
+        return rpy_from_quat(self.report["quat_WB"])
 
 
 Show = Callable[[Watched], None]
@@ -81,44 +74,56 @@ def watch_robot(
     Raises:
         AssetError, BusError, ConfigError, MissingExtra, PlantError: If it cannot be reached.
     """
-    from mimic.hardware.robot.board_wiring import BOARDS
 
-    bus = bus or LookSettings()
-    with _shown_in(scene, show, robot_on(bus_url)) as show_all:
-        if bus_url in BOARDS:
-            _watch_board(bus_url, bus, seconds, every, show_all)
-        else:
-            _watch_can(bus_url, bus, seconds, every, show_all)
+    description = robot_on(bus_url)
+    with (
+        _shown_in(scene, show, description) as show_all,
+        _opened(bus_url, bus or LookSettings(), description) as driver,
+    ):
+        begin = driver.now()
+        while seconds is None or driver.now() - begin < seconds:
+            before = driver.counts()
+            since = driver.now()
+            driver.listen(since + every)
+            now = driver.now()
+            show_all(
+                Watched(
+                    t=now - begin,
+                    report=newest(driver.report, now - max(SILENT, every)),
+                    rates={name: (count - before[name]) / (now - since) for name, count in driver.counts().items()},
+                    notes=driver.notes(),
+                )
+            )
 
 
 @contextmanager
-def _shown_in(scene: bool | Path, show: Show, robot: str) -> Iterator[Show]:
+def _shown_in(scene: bool | Path, show: Show, description: RobotDescription) -> Iterator[Show]:
     """Yield a function that shows readings, also in Rerun where asked for."""
     if not scene:
         yield show
         return
     from mimic.view.scene.live import LiveView
 
-    description = load_robot(robot)
     with LiveView(description, path=scene if isinstance(scene, Path) else None) as view:
 
         def both(seen: Watched) -> None:
-            if np.isfinite(seen.q).all() and np.isfinite(seen.quat_WB).all():
-                view.pose(seen.t, seen.q, seen.quat_WB)
+            report = seen.report
+            if np.isfinite(report["q"]).all() and np.isfinite(report["quat_WB"]).all():
+                view.pose(seen.t, report["q"], report["quat_WB"])
             show(seen)
 
         yield both
 
 
 @contextmanager
-def open_for_watching(bus_url: str, bus: LookSettings) -> Iterator[tuple[BusSession, bool]]:
-    """Open buses to look at a robot, also beside another program.
+def _opened(bus_url: str, bus: LookSettings, description: RobotDescription) -> Iterator[Any]:
+    """Open a robot to look at it, on CAN also beside another program."""
 
-    Yields:
-        The buses, and whether this program may ask the motors: no other one of this computer uses them.
-    """
-    from mimic.hardware.bus_lock import bus_lock
-    from mimic.hardware.session import open_session
+    if bus_url in BOARDS:
+        with closing(open_driver(driver_settings(bus_url, bus, description))) as board:
+            yield board
+        return
+    from mimic.commissioning.watching import Watcher
 
     with ExitStack() as stack:
         try:
@@ -126,105 +131,8 @@ def open_for_watching(bus_url: str, bus: LookSettings) -> Iterator[tuple[BusSess
             alone = True
         except BusError:
             alone = False
-        yield stack.enter_context(open_session(bus_url, bus, zeros=not bus.zeroed, locked=False)), alone
-
-
-def _watch_can(bus_url: str, bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
-    """Show what motors and IMU on CAN say."""
-    from mimic.commissioning.watching import Watcher
-    from mimic.hardware.can.zeros import zero_problems
-    from mimic.hardware.motors.bus import MotorBus
-
-    with open_for_watching(bus_url, bus) as (robot, alone):
-        motor_bus = MotorBus(robot.link, robot.wiring, overhear=True)
-        watcher = Watcher(motor_bus, asks=alone)
-        known = bus.zeroed or bool(watcher.only_listens) or not zero_problems(motor_bus, robot.homing)
-        zeros = "" if known else "the zeros were not set since power-up: angles are off by whole rotor turns or more"
-        begin = last = robot.link.now()
-        before = motor_bus.imu.reading(begin).count
-        while seconds is None or robot.link.now() - begin < seconds:
-            seen = watcher.look(every)
-            imu = seen.imu
-            rates = {"orientation": (imu.count - before) / max(seen.t - last, 1e-3)}
-            before = imu.count
-            last = seen.t
-            show(
-                Watched(
-                    t=seen.t - begin,
-                    q=seen.q,
-                    dq=seen.dq,
-                    tau=seen.tau,
-                    temperature=seen.temperature,
-                    errors=[int(bits) for bits in seen.faults],
-                    quat_WB=imu.quat_WB,
-                    omega_B=imu.omega_B,
-                    rates=rates,
-                    notes=_can_notes(watcher, seen, zeros),
-                )
-            )
-
-
-def _can_notes(watcher: Watcher, seen: Any, zeros: str) -> list[str]:
-    """Return what there is to say beside the readings."""
-    motor_bus = watcher.motor_bus
-    notes = []
-    names = motor_bus.link.names if len(seen.load) > 1 else ("",)
-    load = ", ".join(f"{name} {share:.0%}".strip() for name, share in zip(names, seen.load, strict=True))
-    notes.append(f"bus load {load}; {seen.running} motors on")
-    if watcher.only_listens:
-        notes.append(f"only listening: {watcher.only_listens}")
-    if zeros:
-        notes.append(zeros)
-    if seen.imu.problem:
-        notes.append(seen.imu.problem)
-    if motor_bus.unknown:
-        names = ", ".join(name for (_, name), _ in motor_bus.unknown.most_common(6))
-        notes.append(f"unknown senders: {names}")
-    if motor_bus.errors:
-        notes.append(f"{motor_bus.errors} frames made no sense")
-    return notes
-
-
-def _board_notes(driver: Any, *, heard: bool) -> list[str]:
-    last = driver.report
-    notes = driver.notes() if heard else ["no message comes from the robot"]
-    if last["errors"]:
-        notes.append(f"{int(last['errors'])} messages made no sense")
-    if last["foreign"]:
-        notes.append(f"{int(last['foreign'])} commands of other programs")
-    return notes
-
-
-def _watch_board(bus_url: str, bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
-    """Show what a stock robot says; nothing is sent."""
-    from mimic.hardware.robot.opening import open_driver
-    from mimic.hardware.session import driver_settings
-
-    driver: Any = open_driver(driver_settings(bus_url, bus, load_robot(robot_on(bus_url))))
-    begin = driver.now()
-
-    def counts() -> dict[str, int]:
-        report = driver.report
-        numbers = driver.readings.joints, int(report["readings"]), int(report["imu_count"])
-        return dict(zip(("joints", "motors", "orientation"), numbers, strict=True))
-
-    try:
-        while seconds is None or driver.now() - begin < seconds:
-            before = counts()
-            since = driver.now()
-            driver.listen(since + every)
-            now = driver.now()
-            last = driver.report
-            heard = now - float(last["heard"]) < max(0.5, every)
-            names = ("q", "dq", "tau", "temperature", "quat_WB", "omega_B")
-            show(
-                Watched(
-                    t=now - begin,
-                    **{name: np.array(last[name]) if heard else np.full_like(last[name], np.nan) for name in names},
-                    errors=[int(bits) for bits in last["faults"]],
-                    rates={name: (count - before[name]) / (now - since) for name, count in counts().items()},
-                    notes=_board_notes(driver, heard=heard),
-                )
-            )
-    finally:
-        driver.close()
+        robot = stack.enter_context(open_session(bus_url, bus, zeros=not bus.zeroed, locked=False))
+        watcher = Watcher(robot.link, robot.wiring, description, asks=alone)
+        if not (bus.zeroed or watcher.only_listens) and zero_problems(watcher.motor_bus, robot.homing):
+            watcher.zeros = "the zeros were not set since power-up: angles are off by whole rotor turns or more"
+        yield watcher

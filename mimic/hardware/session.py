@@ -5,15 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from mimic.config.hardware import DriveSettings, LookSettings, WiringSettings
 from mimic.config.ranges import check_range
 from mimic.control.priority import LOOP, real_time
 from mimic.errors import ConfigError, PlantError
+from mimic.frozen import frozen_arrays
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.open_driver import open_buses
@@ -26,14 +24,13 @@ from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings
 from mimic.hardware.robot.opening import open_driver
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.process import SenderProcess
-from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 
 Report = Callable[[list[Check]], None]
 """Receives the results of the pre-flight."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class BusSession:
     """The open buses of a robot on CAN that nobody drives."""
 
@@ -122,7 +119,7 @@ def _priority() -> list[Check]:
         f"this user gets no real-time priority, so the robot is damped where other programs hold this one up ({busy}); "
         "to allow it, add to /etc/security/limits.conf, with your name, and log in again: NAME - rtprio 20"
     )
-    return [Check(name="priority", verdict="note", text=text)]
+    return [Check("priority", "note", text)]
 
 
 @contextmanager
@@ -131,7 +128,7 @@ def robot_session(
     settings: DriveSettings,
     description: RobotDescription,
     *,
-    rate_hz: float | FloatArray,
+    rate_hz: float,
     report: Report,
     go: Callable[[], None],
     suspended: bool = False,
@@ -144,7 +141,7 @@ def robot_session(
         bus_url: Its buses, or the name of a motion board.
         settings: Wiring, zeros and torque limit.
         description: The robot.
-        rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
+        rate_hz: Commands a second to each motor.
         report: Receives the results of the pre-flight, also if they forbid moving.
         go: Returns when the user wants the robot to move; may raise.
         suspended: The robot hangs in the air instead of lying on the floor.
@@ -161,7 +158,7 @@ def robot_session(
     board = bus_url in BOARDS
     if board and dry_run:
         raise ConfigError("--dry-run is for motors on CAN; to listen to a stock robot: mimic robot watch, or check")
-    options = CheckOptions(rate_hz=np.asarray(rate_hz).tolist(), suspended=suspended, inference=inference)
+    options = CheckOptions(rate_hz=rate_hz, suspended=suspended, inference=inference)
     with nullcontext(()) if board else bus_lock(bus_url) as locks:
         link = SenderProcess(driver_settings(bus_url, settings, description, dry_run=dry_run), description, keep=locks)
         try:

@@ -108,13 +108,8 @@ def run_all(
         Exception: What a job raised.
     """
     rows: dict[int, Row] = {}
-    if workers == 1:
-        for index, job in enumerate(jobs):
-            rows[index] = play(job)
-            if progress is not None:
-                progress(len(rows), len(jobs))
-        return list(rows.values())
-    with closing(results_here(play, jobs, workers=workers)) as results:
+    here = ((index, play(job)) for index, job in enumerate(jobs))
+    with closing(here if workers == 1 else results_here(play, jobs, workers=workers)) as results:
         for index, row in results:
             if isinstance(row, Died):
                 raise RuntimeError(f"job {index} of {len(jobs)} failed: {row.reason}")

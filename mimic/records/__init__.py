@@ -21,6 +21,7 @@ from mimic.records.base import (
     Provenance,
     Record,
     array,
+    joint_names,
     landmarks_of,
 )
 from mimic.records.motion import Command, CommandTrack, LiveCommands, LiveTrack, PoseTrack, TargetTrack, WristTrack
@@ -59,5 +60,6 @@ __all__ = [
     "Tick",
     "WristTrack",
     "array",
+    "joint_names",
     "landmarks_of",
 ]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import field, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mimic.errors import ContractError
+from mimic.frozen import frozen_arrays
 from mimic.records.table import ShownAsTable
 
 FloatArray = NDArray[np.floating[Any]]
@@ -22,6 +23,12 @@ LEGS = ("FL", "FR", "RL", "RR")
 JOINTS = tuple(f"{leg}_{part}" for leg in LEGS for part in ("abad", "hip", "knee"))
 """Roles of the joints, and the order of every (12,) joint array: abad turns about +x, hip and knee about +y. A robot's
 own names of its joints stand in its description."""
+
+
+def joint_names(joints: Iterable[int]) -> str:
+    """Return the roles of joints, for a sentence."""
+    return ", ".join(JOINTS[j] for j in joints)
+
 
 SIDES = ("left", "right")
 
@@ -132,7 +139,7 @@ class Record(ShownAsTable):
         return AXES.get(axis)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Provenance:
     """Where a stored record came from."""
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from mimic.errors import ContractError
+from mimic.frozen import frozen_arrays
 from mimic.records.base import AXES, LANDMARKS, BoolArray, FloatArray, IntArray, Record, array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class PoseTrack(Record):
     """A person's landmarks, one row for every frame of the source."""
 
@@ -60,7 +61,7 @@ class PoseTrack(Record):
         return np.flatnonzero(np.diff(self.shot) > 0) + 1
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class WristTrack(Record):
     """Where each hand is from its own shoulder, in a measure that does not depend on the person's size."""
 
@@ -81,7 +82,7 @@ class WristTrack(Record):
     """What the user should know, carried over from the source."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class TargetTrack(Record):
     """Where each front toe should be, over time; every row is reachable."""
 
@@ -114,7 +115,7 @@ class TargetTrack(Record):
     """What the user should know."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class CommandTrack(Record):
     """What the policy is asked for, at the control rate."""
 
@@ -133,7 +134,7 @@ class CommandTrack(Record):
     """Name of the robot whose toes these are; empty where not known."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class LiveTrack(Record):
     """How a camera was followed, one row for every frame that became a target."""
 
@@ -149,7 +150,7 @@ class LiveTrack(Record):
     """Which of the person's hands were seen."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Command:
     """What the policy is asked for at one control tick."""
 

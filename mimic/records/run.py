@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 
+from mimic.frozen import frozen_arrays
 from mimic.records.base import BoolArray, FloatArray, IntArray, Record, array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class RobotState:
     """The robot at one instant; NaN where a quantity is not measured."""
 
@@ -33,7 +34,7 @@ class RobotState:
     """Velocity of the base, world axes (3,) [m/s]; NaN on a robot that cannot measure it."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class JointCommand:
     """What the joints are asked for: tau = tau_ff + kp (q_des - q) + kd (dq_des - dq)."""
 
@@ -59,7 +60,7 @@ class JointCommand:
         return self.q_des + np.divide(ahead, self.kp, out=np.zeros_like(ahead), where=self.kp > 0.0)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class JointSamples(Record):
     """Joint readings faster than the control rate; the columns are those of a calibration log."""
 
@@ -79,7 +80,7 @@ DOUBLED = 128
 """Fault bit that stands for two motors that answer as one."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Health:
     """How far the readings of one control step can be trusted, and what a robot says about itself."""
 
@@ -122,7 +123,7 @@ class Health:
     [s]; NaN where neither is there."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class HealthLog(Record):
     """What a robot said about itself at each control tick, beside the RunLog of the same rows."""
 
@@ -166,7 +167,7 @@ class HealthLog(Record):
     """What the supervisor had decided: 0 run, 1 sit down, 2 damp, 3 stopped."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Tick:
     """One control step of a plant: the state after it, and the command that really went out."""
 
@@ -182,7 +183,7 @@ PHASES = ("lie", "stand_up", "blend", "track", "hold", "sit_down", "damp")
 """Phases of a run; a log stores their index."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class RunLog(Record):
     """Every control tick of a run: the state at its start, and what was decided and sent from it."""
 

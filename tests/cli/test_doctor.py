@@ -24,8 +24,7 @@ def test_a_look_that_fails_is_a_finding(monkeypatch):
     def fails() -> doctor.Finding:
         raise RuntimeError("no such thing")
 
-    fails.__name__ = "_camera"
-    monkeypatch.setattr(doctor, "_camera", fails)
+    monkeypatch.setitem(doctor.LOOKS, "camera", fails)
     found = next(f for f in doctor.examine() if f.name == "camera")
     assert (found.ok, found.text) == (False, "RuntimeError: no such thing")
 

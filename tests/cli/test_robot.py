@@ -21,7 +21,7 @@ def last_line(capsys) -> str:
     ],
 )
 def test_a_check_ends_with_a_line_that_decides(verdict, status, expected, monkeypatch, capsys):
-    found = [Check(name="network", verdict="ok", text="fine"), Check(name="pose", verdict=verdict, text="it lies")]
+    found = [Check("network", "ok", "fine"), Check("pose", verdict, "it lies")]
     monkeypatch.setattr("mimic.flows.robot.commissioning.check_robot", lambda *_, **__: found)
     assert main(["robot", "check", "cyberdog2"]) == status
     assert last_line(capsys) == expected

@@ -61,7 +61,7 @@ def test_without_a_file_nothing_of_an_earlier_one_counts(asked):
         ("rate = 0.2", "unknown key rate outside a section; sections are retarget, play"),
         ("[retargeting]", "unknown section [retargeting]; sections are retarget, play"),
         ("retarget = 1", "retarget is 1; expected a section [retarget]"),
-        ("[retarget]\nraet = 0.2", "[retarget] has no raet; it has rate, mirror"),
+        ("[retarget]\nraet = 0.2", "there is no setting 'mimic.toml: [retarget] raet'"),
         ("[retarget]\nrate = 'fast'", "[retarget] rate is 'fast'; expected a number"),
         ("[retarget]\nrate = 5", "[retarget] rate is 5 s; it must be from 0.05 to 1 s"),
         ("[retarget]\nmirror = 1", "[retarget] mirror is 1; expected true or false"),

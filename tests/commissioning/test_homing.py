@@ -18,7 +18,7 @@ from mimic.hardware.can.preflight import at_rest
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.can.zeros import LYING_TOLERANCE, read_homing, uneven, with_homing, zero_problems
 from mimic.hardware.motors.bus import MotorBus
-from mimic.hardware.motors.cybergear.parameters import LIMIT_SPD
+from mimic.hardware.motors.cybergear.codec import LIMIT_SPD
 from mimic.hardware.robot.checks import refuse
 from mimic.records import JOINTS
 

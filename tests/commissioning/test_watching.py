@@ -18,9 +18,7 @@ from mimic.flows.watching import watch_robot
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.wiring import load_wiring
-from mimic.hardware.motors.bus import MotorBus
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind
 from mimic.hardware.motors.interface import MotorCommand, MotorMode
 from mimic.hardware.robot.plant import idle_command
 from mimic.records import JOINTS
@@ -56,8 +54,8 @@ def test_it_shows_joints_orientation_temperatures_and_the_load_of_the_bus(robot)
     settings = BusSettings(zeroed=True)
     watch_robot("can0", settings, seconds=1.0, every=0.5, show=seen.append)
     assert len(seen) == 2
-    assert np.abs(seen[-1].q - robot.body.data.qpos[7:]).max() < 2e-3
-    assert np.isfinite(seen[-1].temperature).all()
+    assert np.abs(seen[-1].report["q"] - robot.body.data.qpos[7:]).max() < 2e-3
+    assert np.isfinite(seen[-1].report["temperature"]).all()
     assert np.abs(seen[-1].rpy).max() < 0.02
     assert seen[-1].rates["orientation"] == pytest.approx(100, abs=10)
     assert re.fullmatch(r"bus load \d+%; 0 motors on", seen[-1].notes[0])
@@ -69,8 +67,8 @@ def test_a_motor_that_is_silent_and_an_imu_that_is_silent_are_shown_as_such(robo
     robot.inject(parse_fault(f"imu_silent@{robot.now}"))
     seen = []
     watch_robot("can0", BusSettings(zeroed=True), seconds=0.6, every=0.3, show=seen.append)
-    assert np.isnan(seen[-1].q[JOINTS.index("FL_hip")])
-    assert np.isfinite(np.delete(seen[-1].q, 1)).all()
+    assert np.isnan(seen[-1].report["q"][JOINTS.index("FL_hip")])
+    assert np.isfinite(np.delete(seen[-1].report["q"], 1)).all()
     assert any("IMU has been silent" in note for note in seen[-1].notes)
 
 
@@ -99,27 +97,27 @@ def test_beside_a_program_that_drives_it_asks_nothing_and_shows_what_that_one_is
             return getattr(link, name)
 
     kinds = orders(robot)
-    watcher = Watcher(MotorBus(Beside(), load_wiring(), overhear=True), asks=True)
-    seen = watcher.look(0.2)
+    watcher = Watcher(Beside(), load_wiring(), description, asks=True)
+    watcher.listen(watcher.now() + 0.2)
     assert "another program commands" in watcher.only_listens
     assert Kind.STOP not in kinds
-    assert np.isfinite(seen.q).all()
-    assert seen.running == 12
+    assert np.isfinite(watcher.report["q"]).all()
+    assert watcher.report["running"].sum() == 12
     plant.close()
 
 
-def test_it_asks_no_more_once_another_program_begins(robot):
+def test_it_asks_no_more_once_another_program_begins(robot, description):
     other = EmulatedLink(robot)
-    watcher = Watcher(MotorBus(EmulatedLink(robot), load_wiring(), overhear=True), asks=True)
-    watcher.look(0.2)
+    watcher = Watcher(EmulatedLink(robot), load_wiring(), description, asks=True)
+    watcher.listen(watcher.now() + 0.2)
     assert not watcher.only_listens
     other.send(
         0,
         CODEC.encode(HostMessage(Kind.OPERATION, 3, command=MotorCommand(q=0.0, dq=0.0, kp=1.0, kd=1.0, tau=0.0))),
     )
-    watcher.look(0.1)
+    watcher.listen(watcher.now() + 0.1)
     kinds = orders(robot)
-    watcher.look(0.3)
+    watcher.listen(watcher.now() + 0.3)
     assert kinds == []
     assert "a command for motor 3" in watcher.only_listens
 

@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import pytest
 
 from mimic.emulator.boards import board, go2
-from mimic.emulator.faults import BOARD_ONLY, CAN_KINDS, KINDS, MISWIRED, EmulatedFault, parse_fault, random_fault
+from mimic.emulator.faults import BOARD_ONLY, CAN_KINDS, KINDS, EmulatedFault, parse_fault
 from mimic.errors import ConfigError
 from mimic.records import JOINTS
 
@@ -56,22 +55,6 @@ def test_times_after_the_first_motor_count_from_there():
     assert not fault.active(1.5)
     later = fault.released(10.0)
     assert [later.active(t) for t in (1.5, 10.9, 11.0, 11.9, 12.0)] == [False, False, True, True, False]
-
-
-def test_a_seed_draws_a_fault_that_can_be_written_down_and_all_kinds_come_up():
-    drawn = [random_fault(seed, start=(1.0, 3.0)) for seed in range(400)]
-    assert drawn == [random_fault(seed, start=(1.0, 3.0)) for seed in range(400)]
-    assert {fault.kind for fault in drawn} == set(CAN_KINDS) - set(MISWIRED), (
-        "what is there from power-up on is not drawn"
-    )
-    assert {fault.joint for fault in drawn} == {None, *range(12)}
-    assert any(math.isinf(fault.until) for fault in drawn)
-    assert any(math.isfinite(fault.until) for fault in drawn)
-    for fault in drawn:
-        assert 1.0 <= fault.start <= 3.0
-        again = parse_fault(str(fault))
-        assert (again.kind, again.joint, again.bus) == (fault.kind, fault.joint, fault.bus)
-        assert again.start == pytest.approx(fault.start, rel=1e-4)
 
 
 def test_the_manual_names_every_kind():

@@ -10,22 +10,25 @@ import pytest
 from lab.in_process.can_link import EmulatedLink
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import parse_fault
-from mimic.emulator.motor import ROTOR_TURN, DetailedFault
+from mimic.emulator.motor import DETAIL, ROTOR_TURN
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import CanFrame, Received
 from mimic.hardware.can.load import frame_bits
 from mimic.hardware.can.wiring import Wiring, load_wiring
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage, ParameterValue
-from mimic.hardware.motors.cybergear.parameters import (
+from mimic.hardware.motors.cybergear.codec import (
     CAN_TIMEOUT,
     LIMIT_SPD,
     LIMIT_TORQUE,
     MECH_POS,
     RUN_MODE,
     VBUS,
+    Codec,
     Fault,
+    HostMessage,
     Kind,
+    MotorMessage,
+    ParameterValue,
 )
 from mimic.hardware.motors.imu import Imu, ImuReading, make_imu
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorCommand, MotorMode
@@ -374,9 +377,9 @@ def test_a_deaf_motor_goes_on(bench):
 @pytest.mark.parametrize(
     ("fault", "bit", "detail"),
     [
-        ("motor_hot:FL_knee=90@0.5-0.6", Fault.OVER_TEMPERATURE, DetailedFault.OVER_TEMPERATURE),
-        ("under_voltage=14@0.5-0.6", Fault.UNDER_VOLTAGE, DetailedFault.UNDER_VOLTAGE),
-        ("motor_fault:FL_knee=2@0.5-0.6", Fault.OVER_CURRENT, DetailedFault.PHASE_A_OVER_CURRENT),
+        ("motor_hot:FL_knee=90@0.5-0.6", Fault.OVER_TEMPERATURE, DETAIL[Fault.OVER_TEMPERATURE]),
+        ("under_voltage=14@0.5-0.6", Fault.UNDER_VOLTAGE, DETAIL[Fault.UNDER_VOLTAGE]),
+        ("motor_fault:FL_knee=2@0.5-0.6", Fault.OVER_CURRENT, DETAIL[Fault.OVER_CURRENT]),
     ],
 )
 def test_a_fault_switches_the_motor_off_until_it_is_cleared(fault, bit, detail, bench):

@@ -22,7 +22,7 @@ from mimic.evaluation.policy import command_script
 from mimic.hardware import session
 from mimic.hardware.can import open_driver
 from mimic.hardware.can.wiring import load_wiring
-from mimic.hardware.motors.cybergear.parameters import LIMIT_TORQUE
+from mimic.hardware.motors.cybergear.codec import LIMIT_TORQUE
 from mimic.hardware.motors.interface import MotorMode
 from mimic.hardware.robot.plant import idle_command
 from mimic.policy.runtime import load_policy

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
+from mimic.frozen import frozen
 from mimic.robot.description import RobotDescription
 from mimic.robot.parts import SafetyNumbers
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Limits(SafetyNumbers):
     """The limit of each rule, and why it is there."""
 

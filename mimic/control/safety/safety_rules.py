@@ -10,6 +10,7 @@ import numpy as np
 
 from mimic.control.safety.safety_limits import Limits
 from mimic.control.safety.step_history import MOVING, STANDING, StepHistory, StepReport
+from mimic.frozen import frozen
 from mimic.geometry import up_cosine
 from mimic.metrics import uprightness
 from mimic.records import DOUBLED, JOINTS, PHASES
@@ -20,7 +21,7 @@ BOARD_TIMED_OUT = 0x02
 """Bit of the same: commands are ignored."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Alert:
     """What a rule found in one control step."""
 
@@ -37,7 +38,7 @@ class Alert:
 Check = Callable[[StepReport, StepHistory, Limits], Iterator[Alert]]
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Rule:
     """A row of the table in docs/manual/robot.md."""
 
@@ -63,21 +64,21 @@ def degrees(cosine: float) -> int:
 
 
 def _failed(joint: int, text: str) -> Alert:
-    return Alert(outcome="SIT_DOWN", text=text, about=JOINTS[joint])
+    return Alert("SIT_DOWN", text, JOINTS[joint])
 
 
 @_rule
 def asked_to_end(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Ctrl-C once and again, SIGTERM, and what must be held and was let go."""
     if report.terminated:
-        yield Alert(outcome="DAMP", text="the process was asked to end (SIGTERM)")
+        yield Alert("DAMP", "the process was asked to end (SIGTERM)")
     if report.interrupts > 1:
-        yield Alert(outcome="DAMP", text="Ctrl-C was pressed again")
+        yield Alert("DAMP", "Ctrl-C was pressed again")
     elif report.interrupts == 1:
         text = "the terminal was closed (SIGHUP)" if report.hung_up else "Ctrl-C was pressed"
-        yield Alert(outcome="SIT_DOWN", text=text, needs_upright=False)
+        yield Alert("SIT_DOWN", text, needs_upright=False)
     if report.released:
-        yield Alert(outcome="SIT_DOWN", text="the key or button was let go (--hold)", needs_upright=False)
+        yield Alert("SIT_DOWN", "the key or button was let go (--hold)", needs_upright=False)
 
 
 @_rule
@@ -87,7 +88,7 @@ def motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> It
     silent = np.flatnonzero((health.missed >= limits.silent_ticks) & (health.age >= limits.silent_seconds))
     history.failed.update(map(int, silent))
     if len(silent) == len(JOINTS):
-        yield Alert(outcome="SIT_DOWN", text=f"no motor has answered for {float(health.age.min()):.2f} s", about="all")
+        yield Alert("SIT_DOWN", f"no motor has answered for {float(health.age.min()):.2f} s", "all")
         return
     for joint in silent:
         missed = int(health.missed[joint])
@@ -122,13 +123,13 @@ def too_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
         name = JOINTS[joint]
         text = f"motor {JOINTS[joint]} is at {temperature[joint]:.0f} degC"
         if temperature[joint] < limits.temperature:
-            yield Alert(outcome="RUN", text=f"{text}; it sits down at {limits.temperature:g} degC", about=name)
+            yield Alert("RUN", f"{text}; it sits down at {limits.temperature:g} degC", name)
         else:
-            yield Alert(outcome="SIT_DOWN", text=text, about=name)
+            yield Alert("SIT_DOWN", text, name)
     for joint in np.flatnonzero(history.rise >= limits.rise_warning):
         outcome = "RUN" if history.rise[joint] < limits.rise else "SIT_DOWN"
         text = f"the winding of {JOINTS[joint]} is at {history.rise[joint]:.0%} of its limit by the thermal model"
-        yield Alert(outcome=outcome, text=text, about=f"winding {JOINTS[joint]}")
+        yield Alert(outcome, text, f"winding {JOINTS[joint]}")
 
 
 @_rule
@@ -136,9 +137,9 @@ def answers_slow(report: StepReport, history: StepHistory, limits: Limits) -> It
     """Answers that take long, though none is missing."""
     text = f"answers of the motors take {1e3 * history.round_trip:.0f} ms"
     if history.round_trip > limits.slowest_answers:
-        yield Alert(outcome="SIT_DOWN", text=text)
+        yield Alert("SIT_DOWN", text)
     elif history.round_trip > limits.slow_answers:
-        yield Alert(outcome="RUN", text=f"{text}; it sits down at {1e3 * limits.slowest_answers:g} ms")
+        yield Alert("RUN", f"{text}; it sits down at {1e3 * limits.slowest_answers:g} ms")
 
 
 @_rule
@@ -146,9 +147,9 @@ def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Ite
     """A supply that runs down."""
     text = f"the supply is at {history.voltage:.1f} V"
     if history.voltage < limits.lowest_voltage:
-        yield Alert(outcome="SIT_DOWN", text=text)
+        yield Alert("SIT_DOWN", text)
     elif history.voltage < limits.low_voltage:
-        yield Alert(outcome="RUN", text=f"{text}; it sits down at {limits.lowest_voltage:g} V")
+        yield Alert("RUN", f"{text}; it sits down at {limits.lowest_voltage:g} V")
 
 
 @_rule
@@ -190,15 +191,15 @@ def imu_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iter
     """An IMU that sends nothing, nothing new, or nothing valid."""
     health = report.health
     if not health.imu_age <= limits.imu_age:
-        yield Alert(outcome="DAMP", text=f"the IMU has been silent for {health.imu_age:.2f} s")
+        yield Alert("DAMP", f"the IMU has been silent for {health.imu_age:.2f} s")
     elif health.imu_valid is False:
-        yield Alert(outcome="DAMP", text="the IMU says that its orientation is not valid")
+        yield Alert("DAMP", "the IMU says that its orientation is not valid")
     elif not history.moves or PHASES[report.phase] not in MOVING:
         return
     elif history.imu_repeats >= limits.imu_repeats:
-        yield Alert(outcome="DAMP", text=f"the IMU sent the same orientation {history.imu_repeats + 1} times")
+        yield Alert("DAMP", f"the IMU sent the same orientation {history.imu_repeats + 1} times")
     elif health.imu_unchanged > limits.imu_age:
-        yield Alert(outcome="DAMP", text=f"nothing that the IMU sends has changed for {health.imu_unchanged:.2f} s")
+        yield Alert("DAMP", f"nothing that the IMU sends has changed for {health.imu_unchanged:.2f} s")
 
 
 @_rule
@@ -206,17 +207,17 @@ def imu_contradiction(report: StepReport, history: StepHistory, limits: Limits) 
     """Orientations that do not turn as the rate of turn says, or that the legs contradict."""
     text = f"orientation and rate of turn of the IMU disagree by {history.turn_mismatch:.2f} rad"
     if history.doubtful >= limits.doubt_ticks:
-        yield Alert(outcome="DAMP", text=f"{text}, {history.doubtful} times in a row")
+        yield Alert("DAMP", f"{text}, {history.doubtful} times in a row")
     elif history.doubtful:
-        yield Alert(outcome="RUN", text=f"{text}; that orientation is left out", about="once")
+        yield Alert("RUN", f"{text}; that orientation is left out", "once")
     if history.heading_jump:
         turned = np.rad2deg(history.heading_jump)
         text = f"the heading of the IMU jumped by {turned:.0f} deg; it is taken out"
-        yield Alert(outcome="RUN", text=text, about="heading")
+        yield Alert("RUN", text, "heading")
     if history.moves and PHASES[report.phase] in MOVING and history.legs_contradict >= limits.legs_ticks:
         yield Alert(
-            outcome="DAMP",
-            text=f"IMU and legs disagree: they put the hind toes {history.hind_apart:.2f} m apart in height, "
+            "DAMP",
+            f"IMU and legs disagree: they put the hind toes {history.hind_apart:.2f} m apart in height, "
             f"and the front toes {history.front_above:.2f} m above the hind toes",
         )
 
@@ -226,13 +227,13 @@ def tipping(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
     if PHASES[report.phase] in STANDING and not history.doubtful:
         upright = float(uprightness(report.state.quat_WB, history.description))
         if upright < limits.upright:
-            yield Alert(outcome="DAMP", text=f"the robot is tipping over: {degrees(upright)} deg from upright")
+            yield Alert("DAMP", f"the robot is tipping over: {degrees(upright)} deg from upright")
 
 
 def fallen(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """A robot that should stand and lies."""
     if PHASES[report.phase] in STANDING and float(up_cosine(*report.state.quat_WB)) < limits.fallen:
-        yield Alert(outcome="STOPPED", text="the robot has fallen")
+        yield Alert("STOPPED", "the robot has fallen")
 
 
 @_rule
@@ -245,9 +246,9 @@ def falling(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
         _, side, up = history.rotation[2]
         if abs(side) > limits.side_tilt:
             angle = np.rad2deg(np.arcsin(np.clip(abs(side), 0.0, 1.0)))
-            yield Alert(outcome="DAMP", text=f"the robot is rolling over: {angle:.0f} deg to the side")
+            yield Alert("DAMP", f"the robot is rolling over: {angle:.0f} deg to the side")
         elif up < limits.backward:
-            yield Alert(outcome="DAMP", text="the robot is falling onto its back")
+            yield Alert("DAMP", "the robot is falling onto its back")
 
 
 @_rule
@@ -258,27 +259,27 @@ def step_late(report: StepReport, history: StepHistory, limits: Limits) -> Itera
     small = history.small_overruns
     milliseconds = 1e3 * overrun
     if overrun > limits.longest_overrun or row >= limits.overrun_ticks:
-        yield Alert(outcome="DAMP", text=f"a tick overran by {milliseconds:.0f} ms, {row} in a row")
+        yield Alert("DAMP", f"a tick overran by {milliseconds:.0f} ms, {row} in a row")
     elif small >= limits.small_overrun_ticks:
-        yield Alert(outcome="DAMP", text=f"{small} ticks in a row overran, the last one by {milliseconds:.1f} ms")
+        yield Alert("DAMP", f"{small} ticks in a row overran, the last one by {milliseconds:.1f} ms")
     elif row:
-        yield Alert(outcome="RUN", text=f"a tick overran by {milliseconds:.0f} ms", about="once")
+        yield Alert("RUN", f"a tick overran by {milliseconds:.0f} ms", "once")
     elif small == limits.small_overruns_logged:
-        yield Alert(outcome="RUN", text=f"{small} ticks in a row overran, the last one by {milliseconds:.1f} ms")
+        yield Alert("RUN", f"{small} ticks in a row overran, the last one by {milliseconds:.1f} ms")
 
 
 @_rule
 def bus_errors(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Frames that make no sense, buses that fail, and commands that a motion board misses."""
     if report.health.err_flag & BOARD_TIMED_OUT:
-        yield Alert(outcome="DAMP", text="the robot's firmware ignores commands, as none had reached it (error 0x02)")
+        yield Alert("DAMP", "the robot's firmware ignores commands, as none had reached it (error 0x02)")
     elif report.health.err_flag & BOARD_LATE:
         gap = 1e3 * report.health.command_gap
-        yield Alert(outcome="RUN", text=f"the robot got no command for {gap:.0f} ms (error 0x01)", about="board")
+        yield Alert("RUN", f"the robot got no command for {gap:.0f} ms (error 0x01)", "board")
     if history.new_errors >= limits.bus_errors:
-        yield Alert(outcome="DAMP", text=f"the bus had {history.new_errors} errors within a tenth of a second")
+        yield Alert("DAMP", f"the bus had {history.new_errors} errors within a tenth of a second")
     elif history.new_errors:
-        yield Alert(outcome="RUN", text=f"the bus had {history.new_errors} errors")
+        yield Alert("RUN", f"the bus had {history.new_errors} errors")
 
 
 @_rule
@@ -287,7 +288,7 @@ def sender(report: StepReport, history: StepHistory, limits: Limits) -> Iterator
     silent = report.health.sender_age
     if silent > limits.sender_age:
         text = f"the process that sends to the robot has said nothing for {silent:.2f} s"
-        yield Alert(outcome="SIT_DOWN", text=text, needs_upright=False)
+        yield Alert("SIT_DOWN", text, needs_upright=False)
 
 
 @_rule
@@ -295,9 +296,9 @@ def other_program(report: StepReport, history: StepHistory, limits: Limits) -> I
     """Commands of another program."""
     if history.new_foreign >= limits.foreign_storm:
         text = f"another program commands this robot: {history.new_foreign} times within a tenth of a second"
-        yield Alert(outcome="DAMP", text=text)
+        yield Alert("DAMP", text)
     elif report.health.foreign:
-        yield Alert(outcome="SIT_DOWN", text="another program commands this robot", needs_upright=False)
+        yield Alert("SIT_DOWN", "another program commands this robot", needs_upright=False)
 
 
 SUSPENDED_RULES = tuple(rule for rule in RULES if rule.check not in (imu_silent, imu_contradiction, falling))

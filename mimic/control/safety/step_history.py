@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mimic.control.safety.safety_limits import Limits
 from mimic.dynamics.thermal import MotorHeat
+from mimic.frozen import frozen_arrays
 from mimic.geometry import rotation_from_quat
 from mimic.records import JOINTS, PHASES, FloatArray, Health, RobotState
 from mimic.robot.description import RobotDescription
@@ -21,7 +22,7 @@ MOVING = ("stand_up", *STANDING, "sit_down")
 """Phases in which a policy moves it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class StepReport:
     """What a supervisor sees of a control step."""
 
@@ -150,7 +151,7 @@ class StepHistory:
             if seconds > 0.0 and np.isfinite(rates).all() and np.isfinite(rotation).all():
                 equal = np.array_equal(state.quat_WB, before.quat_WB) and np.array_equal(state.omega_B, before.omega_B)
                 self.imu_repeats = self.imu_repeats + 1 if equal else 0
-                predicted = self._trusted_rotation @ _turn(seconds * rates)
+                predicted = self._trusted_rotation @ Rotation.from_rotvec(seconds * rates).as_matrix()
                 steps = max(1.0, seconds / self.description.dt)
                 allowed = self._limits.turn_mismatch * (0.75 + 0.25 * steps)
                 angle = float(np.arccos(np.clip(predicted[2] @ rotation[2], -1.0, 1.0)))
@@ -209,12 +210,6 @@ class StepHistory:
 def _recent(counts: list[tuple[float, int]], t: float, count: int) -> list[tuple[float, int]]:
     """Return a count of the last tenth of a second with its newest value added."""
     return [*((before, n) for before, n in counts if before > t - 0.1), (t, count)]
-
-
-def _turn(vector: FloatArray) -> FloatArray:
-    """Return the rotation (3, 3) about a vector (3,) by its length [rad]."""
-    half = 0.5 * float(np.linalg.norm(vector))
-    return rotation_from_quat(np.array([np.cos(half), *(0.5 * np.sinc(half / np.pi) * vector)]))
 
 
 def _median(kept: deque[float], new: float) -> float:

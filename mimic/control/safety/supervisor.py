@@ -7,7 +7,6 @@ The rules and their limits are in `mimic.control.safety.safety_rules`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from mimic.control.safety.safety_limits import Limits, limits_for
 from mimic.control.safety.safety_rules import FALLS, RULES, Alert, Rule
 from mimic.control.safety.step_history import STANDING, StepHistory, StepReport
+from mimic.frozen import frozen
 from mimic.metrics import uprightness
 from mimic.records import PHASES
 from mimic.robot.description import RobotDescription
@@ -29,7 +29,7 @@ class SafetyMode(IntEnum):
     STOPPED = 3
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Event:
     """Something that a rule found."""
 

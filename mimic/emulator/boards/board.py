@@ -96,7 +96,7 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
         self.body.advance(self.now)
         self._arrived_by_now(self._command_came)
         ready = self._rules is None and 0 <= self._first <= self.ticks - ENTERING
-        if ready and self._value("mode_refused", self.now) is None:
+        if ready and not self._has("mode_refused"):
             low = self._d.q_min[_ORDER] * _SIGN
             high = self._d.q_max[_ORDER] * _SIGN
             self._rules = MotorModeRules(np.minimum(low, high), np.maximum(low, high))
@@ -114,8 +114,7 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
         self._arrived = at
         if self._first < 0:
             self._first = self.ticks
-            self.faults = [fault.released(self.now) for fault in self.faults]
-            self.events.append((self.now, "the first command came"))
+            self._began()
 
     def _measured(self) -> tuple[FloatArray, FloatArray]:
         """Return angles and velocities of the joints (12,), as the firmware has them."""
@@ -141,10 +140,7 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
         numbers = np.nan_to_num(np.stack([kp, kd, _SIGN * q_des, _SIGN * dq_des, _SIGN * tau], axis=1))
         framed = np.clip(numbers, FRAME_LOW, FRAME).tolist()
         for place, joint in enumerate(_BODY):
-            if joint in dead or joint in failed:
-                self.body.drive(joint, FREE, self.now)
-                continue
-            self.body.drive(joint, Drive(*framed[place], limit=float(self._d.torque_max[joint])), self.now)
+            self._drive(joint, FREE if joint in dead or joint in failed else Drive(*framed[place]))
 
     @property
     def err_flag(self) -> int:
@@ -187,19 +183,17 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
         near = np.zeros(12, dtype=int) if self._rules is None else self._rules.limits
         limits = {f"q_{part}_limit": near.reshape(len(LEGS), len(PARTS))[:, i] for i, part in enumerate(PARTS)}
         self._publish(LEG_CONTROL_DATA.channel, LEG_CONTROL_DATA.encode(q=q, qd=dq, tau_est=torque, **limits))
-        if self._value("imu_silent", self.now) is None:
+        if not self._has("imu_silent"):
             self._publish(STATE_ESTIMATOR.channel, self._orientation())
 
     def _spi_data(self, q: FloatArray, dq: FloatArray, torque: FloatArray) -> bytes:
         failed = self._joints_with("motor_fault")
         dead = self._joints_with("motor_dead")
-        hot = self._joints_with("motor_hot")
         flags = np.zeros(12, dtype=np.int64)
-        warm = np.zeros(12)
         for place, joint in enumerate(_BODY):
             running = self._rules is not None and joint not in failed and joint not in dead
             flags[place] = (MOTOR_RUNNING << 30 if running else 0) | int(failed.get(joint, 0.0))
-            warm[place] = max(self.body.temperature(joint), hot.get(joint, -math.inf))
+        warm = self._warm()[_ORDER]
         values = {"q": q, "qd": dq, "tau": torque, "tmp": np.round(warm / self._wiring.temperature_unit)}
         by_leg = {
             f"{name}_{part}": value.reshape(len(LEGS), len(PARTS))[:, i]

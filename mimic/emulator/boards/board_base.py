@@ -17,8 +17,10 @@ import numpy as np
 from mimic.config.emulator import EmulateSettings
 from mimic.dynamics.effect_set import EffectSet
 from mimic.emulator.body import EmulatedBody
-from mimic.emulator.faults import EmulatedFault, miswiring
+from mimic.emulator.faults import EmulatedFault, Schedule, miswiring
+from mimic.emulator.motor import Drive
 from mimic.errors import ConfigError
+from mimic.geometry import multiply_quats
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
@@ -63,7 +65,6 @@ class NetworkBoard(Generic[W]):
         effects: EffectSet | None = None,
         faults: Sequence[EmulatedFault] = (),
         timestep: float = TICK,
-        visuals: bool = False,
     ) -> None:
         """Switch it on.
 
@@ -74,7 +75,6 @@ class NetworkBoard(Generic[W]):
             effects: What its drives have besides.
             faults: What goes wrong.
             timestep: Of the physics [s].
-            visuals: Keep the shapes that are only looked at.
 
         Raises:
             ConfigError: If a fault does not exist on this robot.
@@ -93,12 +93,11 @@ class NetworkBoard(Generic[W]):
             timestep=timestep,
             placement=settings.placement,
             seed=settings.seed,
-            visuals=visuals,
         )
         self.body.release()
         self.body.miswire(*miswiring(faults), np.zeros(len(JOINTS)))
-        self.faults = list(faults)
         self._rng = np.random.default_rng([settings.seed, 29])
+        self.schedule = Schedule(faults, self._rng)
         self.now = 0.0
         """[s]"""
         self.ticks = 0
@@ -142,29 +141,27 @@ class NetworkBoard(Generic[W]):
 
     def _through(self, channel: str, data: bytes, t: float) -> list[tuple[float, str, bytes]]:
         """Return what the network makes of a message: when it arrives, and how, once or twice or not at all."""
-        if self._value("bus_off", t) is not None or self._chance("frames_lost", t):
+        faults = self.schedule
+        if faults.value("bus_off", t, bus=0) is not None or faults.happens("frames_lost", t, 0):
             return []
-        at = t + (self._value("frames_late", t) or 0.0)
-        if self._chance("frames_reordered", t):
+        at = t + (faults.value("frames_late", t, bus=0) or 0.0)
+        if faults.happens("frames_reordered", t, 0):
             at += 0.004 + 0.004 * self._rng.random()
-        if self._chance("frames_corrupted", t):
+        if faults.happens("frames_corrupted", t, 0):
             bits = bytearray(data)
             bits[int(self._rng.integers(len(bits)))] ^= 1 << int(self._rng.integers(8))
             data = bytes(bits)
-        return [(at, channel, data)] * (2 if self._chance("frames_doubled", t) else 1)
+        return [(at, channel, data)] * (2 if faults.happens("frames_doubled", t, 0) else 1)
 
-    def _value(self, kind: str, t: float) -> float | None:
-        return next((fault.value for fault in self.faults if fault.kind == kind and fault.active(t)), None)
-
-    def _chance(self, kind: str, t: float) -> bool:
-        share = self._value(kind, t)
-        return share is not None and bool(self._rng.random() < share)
+    def _has(self, kind: str) -> bool:
+        """Return whether a fault of the whole robot is there now."""
+        return self.schedule.value(kind, self.now) is not None
 
     def _joints_with(self, kind: str) -> dict[int, float]:
         """Return the joints of the description that have a fault now, and its value."""
         return {
             int(fault.joint): fault.value
-            for fault in self.faults
+            for fault in self.schedule.faults
             if fault.kind == kind and fault.joint is not None and fault.active(self.now)
         }
 
@@ -179,6 +176,19 @@ class NetworkBoard(Generic[W]):
 
     def _cycle(self) -> None:
         raise NotImplementedError
+
+    def _began(self) -> None:
+        """Take note of the first command."""
+        self.schedule.release(self.now)
+        self.events.append((self.now, "the first command came"))
+
+    def _drive(self, joint: int, drive: Drive) -> None:
+        self.body.drive(joint, drive._replace(limit=float(self._d.torque_max[joint])), self.now)
+
+    def _warm(self) -> FloatArray:
+        """Return the temperatures that the motors report (12,) [degC]."""
+        hot = self._joints_with("motor_hot")
+        return np.array([max(self.body.temperature(j), hot.get(j, -math.inf)) for j in range(len(JOINTS))])
 
     @property
     def torques(self) -> FloatArray:
@@ -220,19 +230,11 @@ class NetworkBoard(Generic[W]):
         """Return the IMU's quaternion wxyz (4,), its rate of turn (3,) [rad/s], and a stamp, all with its faults."""
         quat, omega = self.body.base()
         omega = omega + self._rng.normal(0.0, self._settings.imu_noise, 3)
-        tilt = self._value("imu_tilted", self.now)
+        tilt = self.schedule.value("imu_tilted", self.now)
         if tilt is not None:
-            quat = turned(quat, tilt)
-        if self._value("imu_frozen", self.now) is not None:
+            quat = multiply_quats(quat, np.array([math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0]))
+        if self._has("imu_frozen"):
             self._frozen = self._frozen or (quat, omega, stamp)
             return self._frozen
         self._frozen = None
         return quat, omega, stamp
-
-
-def turned(quat: FloatArray, angle: float) -> FloatArray:
-    """Return an orientation turned about its own y axis by an angle [rad]."""
-    w, x, y, z = quat
-    c = math.cos(angle / 2)
-    s = math.sin(angle / 2)
-    return np.array([w * c - y * s, x * c - z * s, y * c + w * s, z * c + x * s])

@@ -15,7 +15,7 @@ import numpy as np
 
 from mimic.emulator.boards.board_base import MESSAGE_FAULTS, NetworkBoard
 from mimic.emulator.faults import MISWIRED
-from mimic.emulator.motor import FREE, LEAST_TORQUE, Drive
+from mimic.emulator.motor import FREE, Drive
 from mimic.errors import FrameError
 from mimic.geometry import rotation_from_quat, rpy_from_quat
 from mimic.hardware.go2.dds_bus import TO_ROBOT
@@ -93,7 +93,7 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
     def _cycle(self) -> None:
         self.body.advance(self.now)
         self._arrived_by_now(self._heard)
-        if not self.mode and self._value("mode_returns", self.now) is not None:
+        if not self.mode and self._has("mode_returns"):
             self.mode = "normal"
             self.applied = [FREE] * len(JOINTS)
             self._placed = self.body.joints(self.now)[0]
@@ -111,8 +111,7 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
         for joint, drive in enumerate(self.applied):
             if self.mode:
                 drive = HOLD._replace(q=float(self._placed[joint]))
-            limit = float(self._d.torque_max[joint])
-            self.body.drive(joint, FREE if joint in dead else drive._replace(limit=limit), self.now)
+            self._drive(joint, FREE if joint in dead else drive)
         self._lost = self._lost + np.array([joint in dead for joint in range(len(JOINTS))])
         self._speak(dead)
 
@@ -120,7 +119,7 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
         if topic == LOWCMD:
             self._commanded(data, at)
             return
-        if self._value("service_silent", self.now) is not None:
+        if self._has("service_silent"):
             return
         try:
             call = Call.from_bytes(data, answer=False)
@@ -132,7 +131,7 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
         if (service, call.api) == (SWITCHER, CHECK_MODE):
             text = json.dumps({"form": "0", "name": self.mode})
         elif (service, call.api) == (SWITCHER, RELEASE_MODE):
-            if self._value("mode_refused", self.now) is None:
+            if not self._has("mode_refused"):
                 self.mode = ""
                 self.events.append((self.now, "its own mode was released"))
         elif (service, call.api) != (SPORT, STAND_DOWN):
@@ -152,8 +151,7 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
             self.fights += 1
             return
         if not self._modes.any():
-            self.faults = [fault.released(self.now) for fault in self.faults]
-            self.events.append((self.now, "the first command came"))
+            self._began()
         self._came = self._arrived = at
         wiring = self._wiring
         motors = message["motor_cmd"][: len(JOINTS)]
@@ -170,32 +168,26 @@ class EmulatedGo2(NetworkBoard[Go2Wiring]):
 
     def driven(self) -> tuple[str, ...]:
         """Return the joints with stiffness or a torque of a command."""
-        return tuple(
-            name
-            for name, drive in zip(JOINTS, self.applied, strict=True)
-            if drive.kp > 0.0 or abs(drive.tau) > LEAST_TORQUE
-        )
+        return tuple(name for name, drive in zip(JOINTS, self.applied, strict=True) if drive.drives)
 
     # ------------------------------------------------------------------ what it says
 
     def _speak(self, dead: dict[int, float]) -> None:
         wiring = self._wiring
         message = blank(LOWSTATE)
-        hot = self._joints_with("motor_hot")
         (q, dq, tau) = self.body.joints(self.now)
-        warm = [max(self.body.temperature(j), hot.get(j, 0.0)) for j in range(len(JOINTS))]
         motors = message["motor_state"][: len(JOINTS)]
         motors["q"] = wiring.wire_angles(q)
         motors["dq"] = wiring.wire(dq)
         motors["tau_est"] = wiring.wire(tau)
-        motors["temperature"][wiring.index] = np.clip(np.round(warm), 0, 255)
+        motors["temperature"][wiring.index] = np.clip(np.round(self._warm()), 0, 255)
         modes = self._modes.copy()
         modes[list(dead)] = 0
         motors["mode"][wiring.index] = modes
         motors["lost"][wiring.index] = self._lost
         quat, omega, _ = self.orientation()
         imu = message["imu_state"]
-        imu["quaternion"][wiring.quat] = quat
+        imu["quaternion"][wiring.wxyz] = quat
         imu["gyroscope"] = omega
         imu["rpy"] = rpy_from_quat(np.asarray(quat))
         imu["accelerometer"] = rotation_from_quat(quat).T @ np.array([0.0, 0.0, 9.81])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.errors import CalibrationError
 from mimic.flows.logs.calibrate import calibrate
 from mimic.flows.reporter import Reporter
-from mimic.records.table import ShownAsTable
+from mimic.frozen import frozen
 
 if TYPE_CHECKING:
     from mimic.dynamics.effect_set import EffectValues
@@ -26,8 +26,8 @@ SURE = 3.0
 """Standard errors from which on a difference counts, as a calibration asks of an effect."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Difference(ShownAsTable):
+@frozen
+class Difference:
     """A number of an effect in both units."""
 
     effect: str

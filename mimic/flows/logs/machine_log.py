@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,6 +13,7 @@ from mimic.flows.logs.calibrate import checked_log, left_out, machine_of
 from mimic.flows.play import load_robot
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, reporting
+from mimic.frozen import frozen, frozen_arrays
 from mimic.io import store
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ NO_EFFECTS = "as given"
 """The model without effects."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Predictions:
     """How far a log is from what models predict."""
 
@@ -98,7 +99,7 @@ def predict_log(
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class LogMotion:
     """The motion of a simulated log."""
 

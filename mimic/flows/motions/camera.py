@@ -16,13 +16,12 @@ from mimic.config.pose import LiveSettings
 from mimic.flows.motions.camera_record import CameraRecord
 from mimic.flows.motions.motion import InputSettings, fetch_pose_model, refuse_second_video
 from mimic.flows.play import load_robot, play, warn_of_stand_effects
-from mimic.flows.reporter import Activity, Reporter, reporting
+from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.run_folder import SavedRun, new_run_folder, save_run
 
 if TYPE_CHECKING:
-    from mimic.retargeting.live import LiveRetarget, LiveTargets
+    from mimic.retargeting.live import LiveTargets
     from mimic.robot.description import RobotDescription
-    from mimic.sources.video.camera import CameraStream
     from mimic.view.scene.live import LiveView
 
 SWITCH_INTERVAL = 1e-3
@@ -64,8 +63,9 @@ def follow_camera(
     from mimic.robot.reach import Reach
     from mimic.sources.video.camera import check_camera, open_camera
 
+    reporter = reporting(reporter)
     refuse_second_video(settings, "a camera is followed by itself")
-    fetch_pose_model(reporting(reporter), partial(check_camera, camera))
+    fetch_pose_model(reporter, partial(check_camera, camera))
     record = CameraRecord(settings)
     retarget = LiveRetarget(Reach(description), settings.retarget, live)
     with open_camera(camera, settings.pose, live, previews=view is not None, low_priority=low_priority) as stream:
@@ -75,48 +75,38 @@ def follow_camera(
             stream.begin()
 
         targets = LiveTargets(Reach(description), live, begin=begin)
-        with reporting(reporter).activity("frames") as show:
-            given = stream, retarget, targets, record, view, zero, show, reporting(reporter)
-            threading.Thread(target=_follow, args=given, name="follow", daemon=True).start()
+        with reporter.activity("frames") as show:
+
+            def follow() -> None:
+                shown = 0.0
+                try:
+                    for seen in stream.rows():
+                        aspect = seen.size[0] / seen.size[1]
+                        targets.put(retarget.see(seen.t, seen.landmarks, seen.image, seen.valid, aspect))
+                        latency = time.monotonic() - seen.t
+                        record.seen.append(seen)
+                        record.latency.append(latency)
+                        for text in seen.people if not record.people else ():
+                            reporter.warn(text)
+                        record.people = seen.people or record.people
+                        if seen.t > shown + SHOW_EVERY:
+                            nobody = "" if seen.valid.any() else "nobody seen; "
+                            show(f"{nobody}frame to target {record.summary(SHOWN)}", 0)
+                            shown = seen.t
+                        if view is not None:
+                            view.frame(seen.t - record.began + zero, seen.jpeg, seen.image, seen.valid, latency)
+                except Exception as error:
+                    record.error = error
+                finally:
+                    targets.end()
+
+            threading.Thread(target=follow, name="follow", daemon=True).start()
             before = sys.getswitchinterval()
             sys.setswitchinterval(SWITCH_INTERVAL)
             try:
                 yield targets, record
             finally:
                 sys.setswitchinterval(before)
-
-
-def _follow(
-    stream: CameraStream,
-    retarget: LiveRetarget,
-    targets: LiveTargets,
-    record: CameraRecord,
-    view: LiveView | None,
-    zero: float,
-    show: Activity,
-    reporter: Reporter,
-) -> None:
-    shown = 0.0
-    try:
-        for seen in stream.rows():
-            aspect = seen.size[0] / seen.size[1]
-            targets.put(retarget.see(seen.t, seen.landmarks, seen.image, seen.valid, aspect))
-            latency = time.monotonic() - seen.t
-            record.seen.append(seen)
-            record.latency.append(latency)
-            for text in seen.people if not record.people else ():
-                reporter.warn(text)
-            record.people = seen.people or record.people
-            if seen.t > shown + SHOW_EVERY:
-                nobody = "" if seen.valid.any() else "nobody seen; "
-                show(f"{nobody}frame to target {record.summary(SHOWN)}", 0)
-                shown = seen.t
-            if view is not None:
-                view.frame(seen.t - record.began + zero, seen.jpeg, seen.image, seen.valid, latency)
-    except Exception as error:
-        record.error = error
-    finally:
-        targets.end()
 
 
 def play_camera(

@@ -68,16 +68,10 @@ class CameraRecord:
         if len(rows) < 2:
             return None
         t = np.array([row.t for row in rows]) - zero
-        track = PoseTrack(
-            t=t,
-            landmarks=np.array([row.landmarks for row in rows]),
-            image=np.array([row.image for row in rows]),
-            score=np.array([row.score for row in rows]),
-            valid=np.array([row.valid for row in rows]),
-            size=rows[-1].size,
-            depth_spread=np.array([row.depth_spread for row in rows]),
-            swapped=np.array([row.swapped for row in rows]),
-        )
+        columns: dict[str, Any] = {}
+        for name in ("landmarks", "image", "score", "valid", "depth_spread", "swapped"):
+            columns[name] = np.array([getattr(row, name) for row in rows])
+        track = PoseTrack(t=t, size=rows[-1].size, **columns)
         return replace(track, warnings=self._warnings(track))
 
     def _warnings(self, track: PoseTrack) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from mimic.config.retarget import RetargetSettings
 from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, reporting
+from mimic.frozen import frozen, frozen_arrays
 from mimic.io import store
 from mimic.io.assets import manual, user_cache
 from mimic.io.reading import check_clock, existing
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from mimic.robot.reach import Reach
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class InputSettings:
     """How an input becomes commands."""
 
@@ -69,7 +70,7 @@ def input_settings(given: AnySettings | None, changes: Mapping[str, Any]) -> Inp
     return settings
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+@frozen_arrays
 class Motion(ShownAsTable):
     """What the robot is asked to do, whatever it was made from."""
 
@@ -85,7 +86,7 @@ class Motion(ShownAsTable):
     """The key frames, where it was made from such."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class _Loading:
     """What every reader needs besides the file."""
 

@@ -3,28 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mimic.commissioning.scan import BusScan, scan, wiring_problems
 from mimic.config.hardware import DriveSettings, LookSettings, ProbeSettings, WiringSettings
+from mimic.control.signals import Signals
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.play import load_robot, robot_on
 from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.robot.operator import Operator, undisturbed
 from mimic.flows.run_folder import LOG
+from mimic.frozen import frozen_arrays
+from mimic.hardware.can.driver import CanDriver
+from mimic.hardware.can.other_programs import look_first, others
+from mimic.hardware.can.preflight import at_rest
+from mimic.hardware.can.zeros import homing_file, uneven
+from mimic.hardware.go2.driver import RESTED
+from mimic.hardware.robot.board_wiring import BOARDS
+from mimic.hardware.robot.checks import Check, refuse
+from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.sender import Sender
+from mimic.hardware.session import open_robot, open_session, robot_session, wiring_of
 from mimic.io import store
+from mimic.io.joint_log import is_joint_log, read_log, write_log
 from mimic.records import JOINTS, FloatArray, RunLog
 
 if TYPE_CHECKING:
     from mimic.commissioning.probe import ProbeResult
-    from mimic.commissioning.scan import BusScan
     from mimic.hardware.can.wiring import Wiring
-    from mimic.hardware.robot.checks import Check
 
 
 def _only_on_can(bus_url: str, command: str, instead: str) -> None:
-    from mimic.hardware.robot.board_wiring import BOARDS
 
     if bus_url in BOARDS:
         raise ConfigError(f"mimic robot {command} is for motors on CAN; {bus_url} is a stock robot: {instead}")
@@ -41,9 +51,6 @@ def scan_robot(bus_url: str, bus: WiringSettings | None = None) -> tuple[list[Bu
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
     _only_on_can(bus_url, "scan", "its motors have one fixed place each; to look at it: mimic robot check")
-    from mimic.commissioning.scan import scan, wiring_problems
-    from mimic.hardware.can.other_programs import others
-    from mimic.hardware.session import open_session
 
     with open_session(bus_url, bus or WiringSettings(), zeros=False) as robot:
         driven = others(robot.motor_bus())
@@ -53,7 +60,7 @@ def scan_robot(bus_url: str, bus: WiringSettings | None = None) -> tuple[list[Bu
         return seen, robot.wiring, wiring_problems(seen, robot.wiring)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class Zeroed:
     """Zeros that were set."""
 
@@ -84,11 +91,6 @@ def zero_robot(
     """
     _only_on_can(bus_url, "zero", "it keeps its zeros itself; to look at its joints: mimic robot check")
     from mimic.commissioning.homing import home
-    from mimic.hardware.can.other_programs import look_first
-    from mimic.hardware.can.preflight import at_rest
-    from mimic.hardware.can.zeros import homing_file, uneven
-    from mimic.hardware.robot.checks import refuse
-    from mimic.hardware.session import open_session
 
     description = load_robot()
     (operator or Operator()).confirm("Keep your hands off it from here on.")
@@ -114,14 +116,9 @@ def damp_robot(bus_url: str, bus: LookSettings | None = None) -> tuple[bool, str
         PlantError: If the robot's own mode drives it.
         ConfigError, AssetError, BusError: If the buses cannot be opened, or take no frames.
     """
-    from mimic.hardware.can.driver import CanDriver
-    from mimic.hardware.robot.sender import Sender
-    from mimic.hardware.session import open_robot, open_session
 
-    description = load_robot(robot_on(bus_url))
+    description = robot_on(bus_url)
     if bus_url == "go2":  # what it does with the last command is not published
-        from mimic.hardware.go2.driver import RESTED
-
         with open_robot(bus_url, bus or LookSettings(), description) as board, undisturbed():
             mode = getattr(board, "ask_mode", str)()
             if mode:
@@ -141,10 +138,8 @@ def check_robot(bus_url: str, bus: LookSettings | None = None, *, suspended: boo
     Raises:
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
-    from mimic.hardware.robot.driver import CheckOptions
-    from mimic.hardware.session import open_robot
 
-    description = load_robot(robot_on(bus_url))
+    description = robot_on(bus_url)
     with open_robot(bus_url, bus or LookSettings(), description) as driver:
         return driver.checks(CheckOptions(rate_hz=1.0 / description.dt, suspended=suspended))
 
@@ -156,7 +151,6 @@ def _targets_in(file: Path) -> tuple[FloatArray, FloatArray]:
         AssetError, CalibrationError: If the file cannot be read.
         ConfigError: If it has no targets.
     """
-    from mimic.io.joint_log import is_joint_log, read_log
 
     if not is_joint_log(file):
         run = store.load(file, RunLog)
@@ -194,12 +188,7 @@ def probe_robot(
     Raises:
         PlantError, BusError, ConfigError, AssetError: If something stands against it.
     """
-    from mimic.commissioning.probe import probe
-    from mimic.commissioning.probe_motion import asked_rates, probe_motion, recorded_motion
-    from mimic.control.signals import Signals
-    from mimic.hardware.robot.board_wiring import BOARDS
-    from mimic.hardware.session import robot_session, wiring_of
-    from mimic.io.joint_log import write_log
+    from mimic.commissioning.probe import probe, probe_motion, recorded_motion
 
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
@@ -208,7 +197,7 @@ def probe_robot(
     operator = operator or Operator()
     reporter = reporting(reporter)
     store.check_writable(out.parent)
-    description = load_robot(robot_on(bus_url))
+    description = robot_on(bus_url)
     signals = Signals()
     if motion is None:
         targets = probe_motion(description, settings)
@@ -219,11 +208,9 @@ def probe_robot(
         bus_url,
         bus,
         description,
-        rate_hz=asked_rates(targets, settings, description),
+        rate_hz=settings.rate_hz,
         report=operator.show_findings,
-        go=lambda: operator.confirm(
-            f"It moves {settings.joints} joints for {seconds:.0f} s; feet free, nobody within reach."
-        ),
+        go=lambda: operator.confirm(f"It moves all joints for {seconds:.0f} s; feet free, nobody within reach."),
         suspended=True,
     ) as plant:
         reporter.note(f"It moves to the centre within {2 * settings.approach:g} s. Ctrl-C damps and keeps the log.")

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from mimic.config.emulator import EmulateSettings
 from mimic.config.play import DEFAULT_ROBOT, EffectsSettings
 from mimic.control.priority import EMULATOR, real_time
+from mimic.control.signals import Signals
 from mimic.dynamics.effect_set import EffectSet, read_effects
 from mimic.dynamics.servo import read_standing
 from mimic.emulator.boards.board import EmulatedBoard
 from mimic.emulator.boards.board_base import TICK
 from mimic.emulator.boards.board_server import BoardServer
 from mimic.emulator.boards.go2 import EmulatedGo2
-from mimic.emulator.faults import BOARD_ONLY, CAN_KINDS, EmulatedFault, parse_fault, random_fault
+from mimic.emulator.faults import BOARD_ONLY, EmulatedFault, parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
 from mimic.errors import ConfigError
 from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, reporting
+from mimic.frozen import frozen
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.go2.dds_bus import DdsBus
 from mimic.hardware.go2.dds_bus import check_network as check_go2_network
@@ -34,17 +33,8 @@ from mimic.hardware.robot.board import Bus
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.wiring import load_board
 
-FRAME_INTERVAL = 1 / 30
-"""Time between two pictures in the viewer [s]."""
 
-CLOSE_TIMEOUT = 5.0
-"""Longest wait for the viewer's window to close [s]."""
-
-RANDOM_FAULT = (0.5, 8.0)
-"""A random fault begins this long after the first motor was switched on [s]."""
-
-
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ServeOptions:
     """Where and how long the robot is served."""
 
@@ -58,19 +48,15 @@ class ServeOptions:
     """Wiring file; by default the shipped one."""
     faults: Sequence[str] = ()
     """Faults to inject, KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]]."""
-    fault_seed: int | None = None
-    """Also inject a random fault, drawn with this seed."""
     seconds: float | None = None
     """End after this [s]; None serves until Ctrl-C or SIGTERM."""
     every: float = 10.0
     """Interval of the status lines [s]; 0 for none."""
-    view: bool = False
-    """Open MuJoCo's viewer."""
     board: str | None = None
     """Stock robot to serve, cyberdog2 or go2; None serves motors on CAN."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Served:
     """What was served."""
 
@@ -118,7 +104,6 @@ def serve_robot(
     effects = effects or EffectsSettings()
     reporter = reporting(reporter)
     emulated, faults, listen = (_on_can if options.board is None else _board)(options, settings, effects, reporter)
-    shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
     with real_time(EMULATOR, inherited=True):  # also for the threads in which a network receives
         server = listen()
     for fault in faults:
@@ -133,23 +118,19 @@ def serve_robot(
         if options.every and time.monotonic() - reported >= options.every:
             reported = time.monotonic()
             reporter.note(server.line())
-        if shown is not None:
-            shown.show()
 
+    def ended() -> bool:
+        over = options.seconds is not None and time.monotonic() - begin >= options.seconds
+        return over or signals.terminated or signals.interrupts > 0
+
+    signals = Signals()
     try:
-        with _until_signal() as signalled, real_time(EMULATOR):
-
-            def ended() -> bool:
-                over = options.seconds is not None and time.monotonic() - begin >= options.seconds
-                return signalled() or over or (shown is not None and not shown.open())
-
+        with signals.caught(signal.SIGINT, signal.SIGTERM), real_time(EMULATOR):
             for address in server.addresses:
                 reporter.note(f"ready        {address}")
             server.run(ended, each)
     finally:
         server.close()
-        if shown is not None:
-            shown.close()
     return Served(
         seconds=emulated.now,
         figures=server.figures(),
@@ -165,7 +146,7 @@ _Made = tuple[Any, Sequence[EmulatedFault], Callable[[], Any]]
 
 def _on_can(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
     host, port = _address(options.listen)
-    faults = _faults(options, CAN_KINDS)
+    faults = [parse_fault(text) for text in options.faults]
     for fault in faults:
         if fault.kind in BOARD_ONLY:
             raise ConfigError(f"{fault.kind} is a fault of stock robots; add --board cyberdog2 or go2")
@@ -176,7 +157,6 @@ def _on_can(options: ServeOptions, settings: EmulateSettings, effects: EffectsSe
         effects=_effects(effects, settings, reporter),
         faults=faults,
         timestep=effects.timestep,
-        visuals=options.view,
     )
     return robot, faults, lambda: EmulatorServer(robot, host=host, port=port, slcan=options.slcan)
 
@@ -195,7 +175,7 @@ def _network(options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
 def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
     name = options.board or DEFAULT_ROBOT
     made, wiring, open_bus = _network(options)
-    faults = _faults(options, made.kinds)
+    faults = [parse_fault(text) for text in options.faults]
     board = made(
         load_robot(name if effects.robot_model == DEFAULT_ROBOT else effects.robot_model),
         wiring,
@@ -203,17 +183,9 @@ def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSet
         effects=_effects(effects, settings, reporter),
         faults=faults,
         timestep=TICK if effects.effects is None else effects.timestep,
-        visuals=options.view,
     )
     address = f"{name} (on this computer: add --interface lo)"
     return board, faults, lambda: BoardServer(board, open_bus(), address)
-
-
-def _faults(options: ServeOptions, kinds: tuple[str, ...]) -> list[EmulatedFault]:
-    faults = [parse_fault(text) for text in options.faults]
-    if options.fault_seed is not None:
-        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=kinds))
-    return faults
 
 
 def _effects(effects: EffectsSettings, settings: EmulateSettings, reporter: Reporter) -> EffectSet | None:
@@ -224,47 +196,3 @@ def _effects(effects: EffectsSettings, settings: EmulateSettings, reporter: Repo
         return read_effects(Path(effects.effects))
     warn_of_stand_effects(effects, reporter)
     return read_standing(Path(effects.effects))
-
-
-@contextmanager
-def _until_signal() -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether Ctrl-C or SIGTERM has come."""
-    came: list[int] = []
-    before = {n: signal.signal(n, lambda n, _: came.append(n)) for n in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: bool(came)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-class _Viewer:
-    """MuJoCo's viewer of the running emulation."""
-
-    def __init__(self, model: Any, data: Any) -> None:
-        from mimic.view.scene.viewer import display_available
-
-        if not display_available():
-            raise ConfigError("--view needs a display, and there is none here")
-        import mujoco.viewer
-
-        if not model.nlight:  # hung up there is no scene around the robot
-            model.vis.headlight.ambient[:] = 0.4
-            model.vis.headlight.diffuse[:] = 0.7
-        before = set(threading.enumerate())
-        self._handle = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
-        self._threads = [thread for thread in threading.enumerate() if thread not in before]
-        self._next = 0.0
-
-    def open(self) -> bool:
-        return self._handle.is_running()
-
-    def close(self) -> None:
-        self._handle.close()
-        for thread in self._threads:  # its window must be gone before the process ends, or that ends in a crash
-            thread.join(CLOSE_TIMEOUT)
-
-    def show(self) -> None:
-        if time.monotonic() >= self._next:
-            self._next = time.monotonic() + FRAME_INTERVAL
-            self._handle.sync()

@@ -5,15 +5,16 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from mimic.frozen import frozen_arrays
 
 if TYPE_CHECKING:
     from mimic.control.safety.supervisor import Event
     from mimic.hardware.robot.checks import Check
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Operator:
     """The person at the robot, who sees what happens and decides when it moves."""
 

@@ -7,32 +7,39 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mimic.config.hardware import BusSettings
 from mimic.config.play import RunSettings
 from mimic.config.pose import LiveSettings
+from mimic.control.policy_step import observation_width
+from mimic.control.recorder import ROWS, RunRecorder
+from mimic.control.recorder import salvage as read
+from mimic.control.safety.supervisor import Event, Supervisor
+from mimic.control.signals import Signals
+from mimic.control.start import start_seconds
+from mimic.control.tick import Safety
 from mimic.errors import AssetError, MimicError, PlantError
 from mimic.flows.motions.camera import camera_name, follow_camera
 from mimic.flows.motions.camera_record import CameraRecord
 from mimic.flows.motions.motion import InputSettings, Motion
-from mimic.flows.play import load_robot, load_source, play, robot_on
+from mimic.flows.play import load_source, play, robot_on
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.robot.operator import Operator, undisturbed
 from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
+from mimic.frozen import frozen_arrays
+from mimic.hardware.can.load import expected_load
+from mimic.hardware.can.step_budget import PARTS
+from mimic.hardware.hold_to_run import Hold, await_hold, hold_to_run
+from mimic.hardware.robot.board_wiring import BOARDS
+from mimic.hardware.session import Robot, robot_session, wiring_of
 from mimic.io import store
+from mimic.policy.runtime import Policy, load_policy
 from mimic.records import CommandTrack, LiveCommands
-
-if TYPE_CHECKING:
-    from mimic.control.safety.supervisor import Event, Supervisor
-    from mimic.hardware.hold_to_run import Hold
-    from mimic.hardware.session import Robot
-    from mimic.policy.runtime import Policy
 
 HOLD_WITHIN = 20.0
 """What must be held is held within this after the robot may move [s]."""
@@ -41,7 +48,7 @@ WARM_UP = 20
 """Inferences of a policy before the robot moves, so that the first ones are not slow."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class RobotRun:
     """A run on a real robot."""
 
@@ -120,16 +127,6 @@ def play_on_robot(
         BusError: If a bus cannot be opened.
         SourceError, AssetError, ConfigError, ContractError: If something cannot be used, or the run cannot be saved.
     """
-    from mimic.control.policy_step import observation_width
-    from mimic.control.recorder import RunRecorder
-    from mimic.control.safety.supervisor import Supervisor
-    from mimic.control.signals import Signals
-    from mimic.control.start import start_seconds
-    from mimic.control.tick import Safety
-    from mimic.hardware.can.step_budget import PARTS
-    from mimic.hardware.hold_to_run import hold_to_run
-    from mimic.hardware.session import robot_session
-    from mimic.policy.runtime import load_policy
 
     settings = settings or InputSettings()
     live = live or LiveSettings()
@@ -139,7 +136,7 @@ def play_on_robot(
         run = replace(run, hold_position=False)  # feet that a rope relieves say nothing of the way
     operator = operator or Operator()
     reporter = reporting(reporter)
-    description = load_robot(robot_on(bus_url))
+    description = robot_on(bus_url)
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = _motion(source, settings, policy, reporter)
@@ -240,9 +237,6 @@ def _name(source: Path | str | None, camera: str | None) -> str | None:
 
 def _loads(plant: Robot, bus_url: str, bus: BusSettings, rate_hz: float) -> tuple[Sequence[float], Sequence[float]]:
     """Return the measured and the expected load of each bus; none of a robot with a board."""
-    from mimic.hardware.can.load import expected_load
-    from mimic.hardware.robot.board_wiring import BOARDS
-    from mimic.hardware.session import wiring_of
 
     if bus_url in BOARDS:
         return (), ()
@@ -297,7 +291,6 @@ def _confirm(operator: Operator, what: str, hold: Hold | None) -> None:
     if hold is None:
         return
     operator.say(f"Hold it now, and let go to sit down (within {HOLD_WITHIN:g} s).")
-    from mimic.hardware.hold_to_run import await_hold
 
     if not await_hold(hold, HOLD_WITHIN):
         raise PlantError(f"nothing was moved. Nothing was held for {HOLD_WITHIN:g} s (--hold)")
@@ -345,8 +338,6 @@ def salvage(folder: Path) -> tuple[Path, int]:
     Raises:
         AssetError: If the folder holds no rows.
     """
-    from mimic.control.recorder import ROWS
-    from mimic.control.recorder import salvage as read
 
     log, health = read(folder)
     made_by = provenance(inputs={"rows": folder / ROWS})

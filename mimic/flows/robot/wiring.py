@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mimic.commissioning.scan import scan
+from mimic.commissioning.wire_check import WireCheck
 from mimic.config.hardware import WiringSettings
 from mimic.errors import ConfigError, PlantError
+from mimic.flows.play import load_robot
+from mimic.frozen import frozen_arrays
+from mimic.hardware.can.other_programs import look_first
+from mimic.hardware.can.wiring import Wiring, load_wiring
+from mimic.hardware.robot.board_wiring import BOARDS
+from mimic.hardware.session import open_session, wiring_of
 from mimic.io import store
 from mimic.records import JOINTS
 
-if TYPE_CHECKING:
-    from mimic.hardware.can.wiring import Wiring
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Wired:
     """A wiring that was found by hand."""
 
@@ -48,12 +52,6 @@ def wire_robot(
         PlantError: If a motion contradicts another one, or another program commands the motors.
         AssetError, BusError: If the buses cannot be opened, or the file cannot be written.
     """
-    from mimic.commissioning.scan import scan
-    from mimic.commissioning.wire_check import WireCheck
-    from mimic.hardware.can.other_programs import look_first
-    from mimic.hardware.can.wiring import load_wiring
-    from mimic.hardware.robot.board_wiring import BOARDS
-    from mimic.hardware.session import open_session, wiring_of
 
     if bus_url in BOARDS:
         raise ConfigError(f"{bus_url} is a stock robot, whose wiring is known; to look at it: mimic robot watch")
@@ -64,7 +62,7 @@ def wire_robot(
     given = wiring_of(bus_url, bus)
     with open_session(bus_url, bus, zeros=False) as robot:
         look_first(robot.motor_bus())
-        check = WireCheck(robot.link, given, scan(robot.link, given))
+        check = WireCheck(robot.link, given, scan(robot.link, given), load_robot())
         places, signs = check.joints(say)
         quat_BI = check.imu(say)
     found = replace(

@@ -10,16 +10,16 @@ import numpy as np
 from mimic.control.plant import damping_command
 from mimic.errors import BusError
 from mimic.hardware.can.frame import Link
-from mimic.hardware.can.preflight import checked
+from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.step_budget import PARTS
-from mimic.hardware.can.switch_on import need_all_off, set_up, switch_on
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.can.zeros import Homing
+from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import MotorMode, Register
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import ALL, CheckOptions, no_report
-from mimic.records import JOINTS, FloatArray, IntArray, JointCommand
+from mimic.records import JOINTS, FloatArray, JointCommand, joint_names
 from mimic.robot.description import RobotDescription
 
 ASK_EVERY = 0.1
@@ -78,7 +78,8 @@ class CanDriver:
         self._failures = self._asked_count = 0
         self._tried: FloatArray = np.full(wiring.buses, -np.inf)
         self._next_question = -np.inf
-        self._waits: tuple[float, IntArray] | None = None
+        self._waits: float | None = None
+        """When the motors were asked that have not all answered [s]."""
         self._damped = -np.inf
         self._left = list(ALL)
         self._on = False
@@ -117,7 +118,7 @@ class CanDriver:
 
     def checks(self, options: CheckOptions) -> list[Check]:
         """Check a robot whose motors are off; nothing moves."""
-        return checked(self.motor_bus, self._description, options, homing=self._homing, trust_zeros=self._zeroed)
+        return preflight(self.motor_bus, self._description, options, homing=self._homing, trust_zeros=self._zeroed)
 
     # ------------------------------------------------------------------ driving
 
@@ -128,18 +129,18 @@ class CanDriver:
             PlantError: If a motor does not answer, or does not accept its settings.
             BusError: If a bus fails.
         """
-        need_all_off(self.motor_bus)
+        registers.need_all_off(self.motor_bus)
         if not self._dry:
-            set_up(self.motor_bus, self._torque_limit)
+            registers.set_up(self.motor_bus, self._torque_limit)
             self._on = True
-            switch_on(self.motor_bus)
+            registers.switch_on(self.motor_bus)
 
     def abandon(self) -> str:
         """Return that nothing was switched on, where that is so."""
         return "" if self._on else "nothing was switched on"
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
-        """Send a command; joints on a bus that does not take it have NaN in the report's ``q_sent``."""
+    def drive(self, command: JointCommand) -> None:
+        """Send a command; where a bus does not take it, the report's ``q_sent`` is NaN."""
         motor_bus = self.motor_bus
         now = self.now()
         sent = None
@@ -149,17 +150,17 @@ class CanDriver:
             self._fail(reason)
         try:
             if self._dry:
-                self._stop(joints)
+                self._stop(ALL)
                 sent = command
             else:
-                sent = motor_bus.command(command, joints)
+                sent = motor_bus.command(command)
             if now >= self._next_question:
                 self._next_question = now + ASK_EVERY
                 self._ask()
         except BusError as reason:
             self._fail(reason)
-        self._note_sent(sent, joints)
-        self._waits = now, np.array(joints, dtype=int)
+        self._note_sent(sent, ALL)
+        self._waits = now
 
     def _note_sent(self, sent: JointCommand | None, joints: Sequence[int]) -> None:
         """Count a command to these joints in the report; None where their bus did not take it."""
@@ -203,10 +204,7 @@ class CanDriver:
         return False
 
     def _complete(self) -> bool:
-        if self._waits is None:
-            return False
-        asked, joints = self._waits
-        return bool(np.all(self.motor_bus.came[joints] > asked))
+        return self._waits is not None and bool(np.all(self.motor_bus.came > self._waits))
 
     # ------------------------------------------------------------------ damping and off
 
@@ -280,7 +278,7 @@ class CanDriver:
     def _left_as(self) -> str:
         if not self._left:
             return "the robot was damped and all motors are off"
-        names = "the motors" if len(self._left) == len(ALL) else ", ".join(JOINTS[j] for j in self._left)
+        names = "the motors" if len(self._left) == len(ALL) else joint_names(self._left)
         refused = self.now() - self.motor_bus.taken[self.motor_bus.wiring.bus[self._left]] > DEAD
         if refused.all():
             return f"{names} could not be stopped: {self.problem}; cut the power"

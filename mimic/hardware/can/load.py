@@ -25,16 +25,15 @@ MAX_LOAD = 0.9
 """Share of a bus above which frames pile up when they have more stuffed bits than on average."""
 
 
-def expected_load(wiring: Wiring, rate_hz: float | FloatArray) -> FloatArray:
+def expected_load(wiring: Wiring, rate_hz: float) -> FloatArray:
     """Return the expected share of each bus's time (buses,).
 
     Args:
         wiring: Which motor is on which bus.
-        rate_hz: Commands a second to each motor, or to each of them (12,) [Hz].
+        rate_hz: Commands a second to each motor [Hz].
     """
-    rates = np.broadcast_to(rate_hz, wiring.bus.shape)
     motors = wiring.motors().facts
-    bits = np.bincount(wiring.bus, weights=rates, minlength=wiring.buses) * (motors.command_bits + motors.feedback_bits)
+    bits = np.bincount(wiring.bus, minlength=wiring.buses) * rate_hz * (motors.command_bits + motors.feedback_bits)
     bits[wiring.imu.bus] += sum(IMU_MESSAGE[name] * rate for name, rate in wiring.imu.rate.items())
     return bits / wiring.bitrate
 

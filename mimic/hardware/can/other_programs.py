@@ -6,9 +6,9 @@ import numpy as np
 
 from mimic.errors import PlantError
 from mimic.hardware.motors import registers
-from mimic.hardware.motors.bus import ALL, MotorBus
+from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import Register
-from mimic.records import JOINTS
+from mimic.records import joint_names
 
 LISTEN = 0.15
 """How long to listen [s]: seven control steps of another program."""
@@ -38,12 +38,12 @@ def holding(motor_bus: MotorBus) -> str:
     Asks for ids and currents only, which changes nothing in a motor.
     """
     current = registers.read(motor_bus, Register.CURRENT)
-    on = [JOINTS[joint] for joint in ALL if abs(current[joint]) > HOLDING]
-    if not on:
+    on = np.flatnonzero(np.abs(current) > HOLDING)
+    if not len(on):
         return ""
     strongest = float(np.nanmax(np.abs(current)))
     return (
-        f"{', '.join(on)} hold a torque (up to {strongest:.1f} A), though nobody commands them: they follow the last "
+        f"{joint_names(on)} hold a torque (up to {strongest:.1f} A), though nobody commands them: they follow the last "
         "command of a program that has ended. Support the robot, then run: mimic robot damp"
     )
 

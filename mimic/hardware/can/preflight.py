@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
-from mimic.errors import FrameError
+from mimic.errors import FrameError, PlantError
 from mimic.hardware.can.load import MAX_LOAD, expected_load
 from mimic.hardware.can.other_programs import holding, others
-from mimic.hardware.can.step_budget import SPARE, StepBudget, step_budget
-from mimic.hardware.can.switch_on import set_host_timeout
+from mimic.hardware.can.step_budget import SPARE, step_budget
 from mimic.hardware.can.zeros import Homing, uneven, zero_problems
 from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import MotorMode, Register
-from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check
+from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, Verdict, imu_checks, pose_check
 from mimic.hardware.robot.driver import CheckOptions
-from mimic.records import DOUBLED, JOINTS, FloatArray
+from mimic.records import DOUBLED, JOINTS, FloatArray, joint_names
 from mimic.robot.description import RobotDescription
 
 WARM = 45.0
@@ -40,122 +41,93 @@ IMU_RATE_TOLERANCE = 0.2
 UNKNOWN_SHOWN = 6
 """Identifiers of unknown senders that are named."""
 
-
-def checked(
-    motor_bus: MotorBus,
-    description: RobotDescription,
-    options: CheckOptions,
-    *,
-    homing: Homing | None,
-    trust_zeros: bool,
-) -> list[Check]:
-    """Check a robot for a run; see `preflight`."""
-    rate_hz = np.asarray(options.rate_hz, dtype=float)
-    budget = None
-    if options.inference is not None:
-        parts = round(float(rate_hz.max()) * description.dt)
-        budget = step_budget(motor_bus.wiring, description.dt, parts, options.inference)
-    motor_bus.drain()  # what came while a person was asked
-    return preflight(
-        motor_bus,
-        description,
-        rate_hz=rate_hz,
-        homing=homing,
-        trust_zeros=trust_zeros,
-        suspended=options.suspended,
-        budget=budget,
-    )
+Found = tuple[Verdict, str]
+"""What a look finds: its verdict and its text."""
 
 
 def preflight(
     motor_bus: MotorBus,
     description: RobotDescription,
+    options: CheckOptions,
     *,
-    rate_hz: float | FloatArray,
-    homing: Homing | None,
-    trust_zeros: bool,
-    suspended: bool = False,
-    budget: StepBudget | None = None,
+    homing: Homing | None = None,
+    trust_zeros: bool = False,
 ) -> list[Check]:
     """Check a robot whose motors are off; nothing moves.
 
     Args:
         motor_bus: Its motors and IMU.
         description: The robot.
-        rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
+        options: Of the run.
         homing: What is known about its zeros.
         trust_zeros: Use the zeros as the wiring has them.
-        suspended: The robot hangs in the air instead of lying on the floor.
-        budget: Of the control steps, where a policy drives it.
     """
-    found = [_load(motor_bus, rate_hz), *([] if budget is None else [_step(budget)])]
+    suspended = options.suspended
+    motor_bus.drain()  # what came while a person was asked
+    found = [Check("bus load", *_load(motor_bus, options.rate_hz))]
+    if options.inference is not None:
+        found.append(Check("control step", *_step(motor_bus, description.dt, options.rate_hz, options.inference)))
     driven = others(motor_bus) or holding(motor_bus)
     if driven:
-        return [*found, Check(name="other programs", verdict="stop", text=driven)]
-    silent = registers.stop(motor_bus)
-    if silent:
-        names = ", ".join(JOINTS[j] for j in silent)
-        return [*found, Check(name="motors", verdict="stop", text=f"no answer from {names}; run: mimic robot scan")]
-    found += [_motors(motor_bus), _temperature(motor_bus), _voltage(motor_bus), _range(motor_bus)]
-    zeros = _zeros(motor_bus, homing, trust_zeros)
+        return [*found, Check("other programs", "stop", driven)]
+    try:
+        registers.need_all_off(motor_bus)
+    except PlantError as silent:
+        return [*found, Check("motors", "stop", str(silent))]
+    found += [Check(name, *look(motor_bus)) for name, look in LOOKS.items()]
+    zeros = Check("zeros", *_zeros(motor_bus, homing, trust_zeros))
     q, _, _ = motor_bus.readings(-np.inf)
     known = zeros.verdict != "stop"
     if not known:
         q = np.full_like(q, np.nan)
-    differences = uneven(q) if known else []
+    differences = uneven(q) if known and not suspended else []
     pose = pose_check(
         q,
         description,
         LYING_TOLERANCE,
         suspended=suspended,
         advice="lay it on its folded legs",
-        note="" if suspended or not differences else differences[0],
+        note="".join(differences[:1]),
     )
-    found += [zeros, pose]
-    found += _imu(motor_bus, q, description, suspended or not known)
-    return [*found, _timeout(motor_bus), _others(motor_bus)]
+    found += [zeros, pose, *_imu(motor_bus, q, description, suspended or not known)]
+    return [*found, Check("own timeout", *_timeout(motor_bus)), Check("other programs", *_others(motor_bus))]
 
 
-def _load(motor_bus: MotorBus, rate_hz: float | FloatArray) -> Check:
-    parts = np.atleast_2d(np.broadcast_to(rate_hz, (*np.shape(rate_hz)[:-1], len(JOINTS))))
-    load = np.max([expected_load(motor_bus.wiring, rates) for rates in parts], axis=0)
+def _load(motor_bus: MotorBus, rate_hz: float) -> Found:
+    load = expected_load(motor_bus.wiring, rate_hz)
     shares = ", ".join(f"{share:.0%}" for share in load)
-    rates = f"{parts.max():g} Hz"
-    if parts.min() < parts.max():
-        rates = f"{rates} for legs that move and {parts.min():.3g} Hz for the others"
     if load.max() > MAX_LOAD:
-        text = f"{rates} would take {shares} of the bus; at most {MAX_LOAD:.0%} fit. Use more buses or a lower rate"
-        return Check(name="bus load", verdict="stop", text=text)
-    return Check(name="bus load", verdict="ok", text=f"{shares} at {rates} (estimated)")
+        text = f"{rate_hz:g} Hz would take {shares} of the bus; at most {MAX_LOAD:.0%} fit"
+        return "stop", f"{text}. Use more buses or a lower rate"
+    return "ok", f"{shares} at {rate_hz:g} Hz (estimated)"
 
 
-def _step(budget: StepBudget) -> Check:
+def _step(motor_bus: MotorBus, dt: float, rate_hz: float, inference: float) -> Found:
+    budget = step_budget(motor_bus.wiring, dt, round(rate_hz * dt), inference)
     if budget.fits:
-        return Check(name="control step", verdict="ok", text=str(budget))
-    text = f"{budget}, at least {1e3 * SPARE:g} ms are needed. Use more buses or a faster computer"
-    return Check(name="control step", verdict="stop", text=text)
+        return "ok", str(budget)
+    return "stop", f"{budget}, at least {1e3 * SPARE:g} ms are needed. Use more buses or a faster computer"
 
 
-def _others(motor_bus: MotorBus) -> Check:
+def _others(motor_bus: MotorBus) -> Found:
     """Return what was heard of others during all checks."""
-    name = "other programs"
     if motor_bus.foreign:
-        text = f"another program commands the motors (the last frame was {motor_bus.foreign_text}); end it first"
-        return Check(name=name, verdict="stop", text=text)
+        return (
+            "stop",
+            f"another program commands the motors (the last frame was {motor_bus.foreign_text}); end it first",
+        )
     if motor_bus.echoes:
         text = f"the adapter echoes what this computer sends ({motor_bus.echoes} frames so far); they are left out"
-        return Check(name=name, verdict="note", text=text)
-    if motor_bus.unknown:
-        most = [
-            f"{key[1]} on {motor_bus.link.names[key[0]]}" for key, _ in motor_bus.unknown.most_common(UNKNOWN_SHOWN)
-        ]
-        more = len(motor_bus.unknown) - len(most)
-        text = f"{motor_bus.unknown.total()} frames of unknown senders: {', '.join(most)}"
-        return Check(name=name, verdict="note", text=f"{text} and {more} more identifiers" if more else text)
-    return Check(name=name, verdict="ok", text="nobody else speaks on the buses")
+        return "note", text
+    if not motor_bus.unknown:
+        return "ok", "nobody else speaks on the buses"
+    most = [f"{name} on {motor_bus.link.names[bus]}" for (bus, name), _ in motor_bus.unknown.most_common(UNKNOWN_SHOWN)]
+    more = len(motor_bus.unknown) - len(most)
+    text = f"{motor_bus.unknown.total()} frames of unknown senders: {', '.join(most)}"
+    return "note", f"{text} and {more} more identifiers" if more else text
 
 
-def _motors(motor_bus: MotorBus) -> Check:
+def _motors(motor_bus: MotorBus) -> Found:
     names = motor_bus.motors.fault_names
     faults = [f"{JOINTS[j]}: {names(f.faults)}" for j, f in enumerate(motor_bus.feedback) if f is not None and f.faults]
     faults += [
@@ -163,32 +135,28 @@ def _motors(motor_bus: MotorBus) -> Check:
         for j in np.flatnonzero(motor_bus.faults)
     ]
     if faults:
-        text = f"faults: {', '.join(faults)}; fix the cause, then switch the power off and on"
-        return Check(name="motors", verdict="stop", text=text)
-    on = [JOINTS[j] for j, f in enumerate(motor_bus.feedback) if f is not None and f.mode != MotorMode.OFF]
-    if on:
-        return Check(name="motors", verdict="stop", text=f"{', '.join(on)} did not switch off")
-    return Check(name="motors", verdict="ok", text="all twelve answer, are off and have no fault")
+        return "stop", f"faults: {', '.join(faults)}; fix the cause, then switch the power off and on"
+    on = motor_bus.in_other_mode(MotorMode.OFF)
+    return ("stop", f"{on} did not switch off") if on else ("ok", "all twelve answer, are off and have no fault")
 
 
-def _temperature(motor_bus: MotorBus) -> Check:
+def _temperature(motor_bus: MotorBus) -> Found:
     temperature = motor_bus.temperature()
     if np.isnan(temperature).all():
-        return Check(name="temperature", verdict="note", text="these motors do not report it")
+        return "note", "these motors do not report it"
     hottest = int(np.nanargmax(temperature))
     text = f"{np.nanmin(temperature):.0f} to {temperature[hottest]:.0f} degC, {JOINTS[hottest]} the warmest"
     if temperature[hottest] >= HOT:
-        return Check(name="temperature", verdict="stop", text=f"{text}; let it cool below {HOT:g} degC")
-    return Check(name="temperature", verdict="note" if temperature[hottest] >= WARM else "ok", text=text)
+        return "stop", f"{text}; let it cool below {HOT:g} degC"
+    return ("note" if temperature[hottest] >= WARM else "ok"), text
 
 
-def _voltage(motor_bus: MotorBus) -> Check:
+def _voltage(motor_bus: MotorBus) -> Found:
     facts = motor_bus.motors.facts
     volts = registers.read(motor_bus, Register.SUPPLY_VOLTAGE)
     if np.isnan(volts).any():
-        names = ", ".join(JOINTS[j] for j in np.flatnonzero(np.isnan(volts)))
         since = f"; their firmware is older than {facts.voltage_since}" if facts.voltage_since else ""
-        return Check(name="voltage", verdict="note", text=f"{names} do not report it{since}")
+        return "note", f"{joint_names(np.flatnonzero(np.isnan(volts)))} do not report it{since}"
     low = float(volts.min())
     high = float(volts.max())
     text = f"{low:.1f} to {high:.1f} V"
@@ -196,14 +164,13 @@ def _voltage(motor_bus: MotorBus) -> Check:
         text += f"; the firmware is {facts.voltage_since} or newer, as it reports this"
     least, most = facts.voltage
     if low < least or high > most:
-        return Check(name="voltage", verdict="stop", text=f"{text}; motors need {least:g} to {most:g} V")
+        return "stop", f"{text}; motors need {least:g} to {most:g} V"
     if low < facts.low_voltage or high - low > VOLTAGE_SPREAD:
-        return Check(name="voltage", verdict="note", text=f"{text}; charge the battery, or check the wires")
-    return Check(name="voltage", verdict="ok", text=text)
+        return "note", f"{text}; charge the battery, or check the wires"
+    return "ok", text
 
 
-def _range(motor_bus: MotorBus) -> Check:
-    name = "position range"
+def _range(motor_bus: MotorBus) -> Found:
     motors = motor_bus.motors
     used = motor_bus.wiring.position_range
     exact = registers.read(motor_bus, Register.POSITION)
@@ -216,28 +183,35 @@ def _range(motor_bus: MotorBus) -> Check:
         try:
             end = motors.check_range(feedback.q, float(exact[joint]))
         except FrameError as reason:
-            return Check(name=name, verdict="stop", text=f"{JOINTS[joint]}: {reason}")
+            return "stop", f"{JOINTS[joint]}: {reason}"
         confirmed += end is not None
         if end is not None and abs(end - used) > 1e-3:
             wrong.append(f"{JOINTS[joint]} {end:.3f}")
     if wrong:
         text = f"the wiring says {used:.3f} rad, but {register} says {', '.join(wrong)}; correct position_range there"
-        return Check(name=name, verdict="stop", text=text)
+        return "stop", text
     if confirmed:
-        return Check(name=name, verdict="ok", text=f"{used:.3f} rad, confirmed by {register} of {confirmed} motors")
-    text = f"{used:.3f} rad as the wiring says; so close to zero the motors' two readings cannot confirm it"
-    return Check(name=name, verdict="note", text=text)
+        return "ok", f"{used:.3f} rad, confirmed by {register} of {confirmed} motors"
+    return "note", f"{used:.3f} rad as the wiring says; so close to zero the motors' two readings cannot confirm it"
 
 
-def _zeros(motor_bus: MotorBus, homing: Homing | None, trust: bool) -> Check:
+LOOKS: Mapping[str, Callable[[MotorBus], Found]] = {
+    "motors": _motors,
+    "temperature": _temperature,
+    "voltage": _voltage,
+    "position range": _range,
+}
+"""What is looked at of motors that answer, in this order."""
+
+
+def _zeros(motor_bus: MotorBus, homing: Homing | None, trust: bool) -> Found:
     if trust:
-        return Check(name="zeros", verdict="note", text="used as the wiring has them (--zeroed)")
+        return "note", "used as the wiring has them (--zeroed)"
     problems = zero_problems(motor_bus, homing)
-    if problems:
-        more = f" and {len(problems) - 2} more" if len(problems) > 2 else ""
-        text = f"{'; '.join(problems[:2])}{more}. Lay it down and run: mimic robot zero"
-        return Check(name="zeros", verdict="stop", text=text)
-    return Check(name="zeros", verdict="ok", text="set since the power was switched on; the same motors")
+    if not problems:
+        return "ok", "set since the power was switched on; the same motors"
+    more = f" and {len(problems) - 2} more" if len(problems) > 2 else ""
+    return "stop", f"{'; '.join(problems[:2])}{more}. Lay it down and run: mimic robot zero"
 
 
 def _imu(motor_bus: MotorBus, q: FloatArray, description: RobotDescription, suspended: bool) -> list[Check]:
@@ -253,23 +227,20 @@ def _imu(motor_bus: MotorBus, q: FloatArray, description: RobotDescription, susp
         rate = (reading.count - begin) / IMU_LISTEN
         if reading.problem is None and abs(rate - wanted) <= IMU_RATE_TOLERANCE * wanted:
             break
-    if reading.problem is not None:
-        return [Check(name="IMU", verdict="stop", text=reading.problem)]
     text = f"{rate:.0f} orientations a second"
-    if abs(rate - wanted) > IMU_RATE_TOLERANCE * wanted:
-        text += f", where the wiring says {wanted:g}"
-        return [Check(name="IMU", verdict="stop", text=f"{text}; set the IMU or the wiring")]
-    text += ", valid" if reading.valid else "; it sends no status word"
-    return imu_checks(reading.quat_WB, reading.omega_B, q, description, suspended=suspended, text=text)
+    if reading.problem is None and abs(rate - wanted) <= IMU_RATE_TOLERANCE * wanted:
+        text += ", valid" if reading.valid else "; it sends no status word"
+        return imu_checks(reading.quat_WB, reading.omega_B, q, description, suspended=suspended, text=text)
+    wrong = f"{text}, where the wiring says {wanted:g}; set the IMU or the wiring"
+    return [Check("IMU", "stop", reading.problem or wrong)]
 
 
-def _timeout(motor_bus: MotorBus) -> Check:
+def _timeout(motor_bus: MotorBus) -> Found:
     register = motor_bus.motors.facts.registers.get(Register.HOST_TIMEOUT, "a host timeout")
-    if set_host_timeout(motor_bus):
-        text = f"the motors accepted {register}: they stop by themselves if both processes of mimic end"
-        return Check(name="own timeout", verdict="ok", text=text)
+    if registers.set_host_timeout(motor_bus):
+        return "ok", f"the motors accepted {register}: they stop by themselves if both processes of mimic end"
     text = f"the motors do not accept {register}: if both processes of mimic end, they continue with their last command"
-    return Check(name="own timeout", verdict="note", text=text)
+    return "note", text
 
 
 def at_rest(motor_bus: MotorBus, description: RobotDescription) -> list[Check]:
@@ -277,10 +248,10 @@ def at_rest(motor_bus: MotorBus, description: RobotDescription) -> list[Check]:
 
     Its motors are switched off by that, as every frame that asks for a position does something.
     """
-    silent = registers.stop(motor_bus)
-    if silent:
-        names = ", ".join(JOINTS[j] for j in silent)
-        return [Check(name="motors", verdict="stop", text=f"no answer from {names}; run: mimic robot scan")]
+    try:
+        registers.need_all_off(motor_bus)
+    except PlantError as silent:
+        return [Check("motors", "stop", str(silent))]
     q, _, _ = motor_bus.readings(-np.inf)
     found = _imu(motor_bus, np.full(len(JOINTS), np.nan), description, False)
     registers.stop(motor_bus)
@@ -288,5 +259,5 @@ def at_rest(motor_bus: MotorBus, description: RobotDescription) -> list[Check]:
     worst = int(np.argmax(moved))
     if not moved[worst] <= MAX_MOVED:
         text = f"{JOINTS[worst]} moved by {np.rad2deg(moved[worst]):.1f} deg meanwhile; keep the robot still"
-        found.append(Check(name="rest", verdict="stop", text=text))
+        found.append(Check("rest", "stop", text))
     return found

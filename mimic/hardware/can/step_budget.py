@@ -9,8 +9,7 @@ as soon as computing is done.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from mimic.frozen import frozen
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.wiring import Wiring
 
@@ -25,7 +24,7 @@ SPARE = 0.001
 """Must be left of every step [s], for an adapter and a computer that hesitate."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class StepBudget:
     """What a control step's time is spent on [s]."""
 

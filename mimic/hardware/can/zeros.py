@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mimic.errors import AssetError
+from mimic.frozen import frozen_arrays
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
@@ -24,7 +25,7 @@ UNEVEN = 0.25
 """Difference between a joint and the same joint on the other side that is reported [rad]."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Homing:
     """The zeros of one robot. Joint arrays are (12,)."""
 

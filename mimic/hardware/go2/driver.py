@@ -7,7 +7,6 @@ published, so the last one it gets, again and again, is always damping.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,9 +29,9 @@ from mimic.hardware.go2.messages import (
     encode,
 )
 from mimic.hardware.go2.wiring import Go2Wiring, load_go2
-from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, PERIOD, BoardDriver, BoardReadings
+from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, PERIOD, BoardDriver
 from mimic.hardware.robot.checks import LYING_TOLERANCE, Check
-from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings
+from mimic.hardware.robot.driver import CheckOptions, DriverSettings
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 
@@ -98,7 +97,7 @@ class Go2Driver(BoardDriver):
         torque_limit: float | None = None,
     ) -> None:
         """Take an open bus; nothing is sent. See `mimic.hardware.robot.board.BoardDriver`."""
-        super().__init__(bus, wiring, description, BoardReadings(wiring), network=network, torque_limit=torque_limit)
+        super().__init__(bus, wiring, description, network=network, torque_limit=torque_limit)
         self._dds = bus
         self._wiring = wiring
         self.mode: str | None = None
@@ -147,10 +146,10 @@ class Go2Driver(BoardDriver):
         report = self.report
         motors = message["motor_state"][: len(JOINTS)]
         report["heard"] = t
-        self.readings.joints += 1
+        self.joint_messages += 1
         came = np.array(report["came"])
         lost = motors["lost"].astype(np.int64)[wiring.index]
-        taken = self.readings.take_motors(
+        taken = self._take_motors(
             wiring.angles(motors["q"]),
             wiring.joints(motors["dq"]),
             wiring.joints(motors["tau_est"]),
@@ -166,12 +165,12 @@ class Go2Driver(BoardDriver):
             report["running"] = serves if self._says_mode else True
             report["voltage"] = float(message["power_v"]) if message["power_v"] > 1.0 else np.nan
         imu = message["imu_state"]
-        self.readings.take_orientation(imu["quaternion"].astype(np.float64), imu["gyroscope"].astype(np.float64), t)
+        self._take_orientation(imu["quaternion"].astype(np.float64), imu["gyroscope"].astype(np.float64), t)
         self._modes = motors["mode"][wiring.index]
 
     def counts(self) -> dict[str, int]:
         """Return how many messages came so far."""
-        return {LOWSTATE: self.readings.joints, "orientation": int(self.report["imu_count"])}
+        return {LOWSTATE: self.joint_messages, "orientation": int(self.report["imu_count"])}
 
     # ------------------------------------------------------------------ its own mode, and other programs
 
@@ -202,7 +201,7 @@ class Go2Driver(BoardDriver):
             self._answers_to.clear()
             self._publish(f"{SWITCHER}request", Call(id=next(self._calls), api=CHECK_MODE).to_bytes())
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+    def drive(self, command: JointCommand) -> None:
         """Send a command, and ask for its own mode now and then.
 
         Raises:
@@ -210,10 +209,10 @@ class Go2Driver(BoardDriver):
         """
         if self.mode:
             raise FrameError(f"its own mode {self.mode!r} is active again, and drives the robot")
-        super().drive(command, joints)
+        super().drive(command)
         self._ask_again()
 
-    def notes(self) -> list[str]:
+    def _own_notes(self) -> list[str]:
         """Return what is known of its own mode."""
         others = self._dds.others()
         return [f"commands may come from {', '.join(others)}"] if others else ["nobody else may command it"]
@@ -229,21 +228,21 @@ class Go2Driver(BoardDriver):
                 "its motion switcher does not answer, so its own sport mode may command it: restart it, and wait until "
                 "it has stood up; is it a Go2 EDU? No other one obeys"
             )
-            found.append(Check(name="own mode", verdict="stop", text=text))
+            found.append(Check("own mode", "stop", text))
         elif self.mode:
             text = f"its own mode {self.mode!r} is active: it lies down and is released when you begin"
-            found.append(Check(name="own mode", verdict="note", text=text))
+            found.append(Check("own mode", "note", text))
         else:
-            found.append(Check(name="own mode", verdict="ok", text="none is active"))
+            found.append(Check("own mode", "ok", "none is active"))
         if others or came:
             text = f"{came} commands came; who may send: {', '.join(others) or 'unknown'}"
             expected = bool(self.mode)  # the robot's own mode commands it until it is released
             text += "; looked at again once its own mode is released" if expected else "; end that program first"
-            found.append(Check(name="other programs", verdict="note" if expected else "stop", text=text))
+            found.append(Check("other programs", "note" if expected else "stop", text))
         else:
-            found.append(Check(name="other programs", verdict="ok", text="none commands this robot"))
+            found.append(Check("other programs", "ok", "none commands this robot"))
         own = "not published: it is expected to hold its last command, so mimic never falls silent before damping"
-        return found, "lay it down with its remote control", [Check(name="own timeout", verdict="note", text=own)]
+        return found, "lay it down with its remote control", [Check("own timeout", "note", own)]
 
     def _robots(self) -> list[Check]:
         """Return what stands against it where more than one robot speaks: each would obey the commands."""
@@ -251,7 +250,7 @@ class Go2Driver(BoardDriver):
         if len(robots) < 2 and not self._strangers:
             return []
         text = f"more than one sends rt/lowstate on this network ({'; '.join(robots)}), and all of them would obey"
-        return [Check(name="robot", verdict="stop", text=f"{text}: leave one robot switched on")]
+        return [Check("robot", "stop", f"{text}: leave one robot switched on")]
 
     def checks(self, options: CheckOptions) -> list[Check]:
         """Check a robot by listening to it and asking for its own mode; nothing moves."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from mimic.config.text_file import from_json
 from mimic.errors import FrameError
+from mimic.frozen import frozen
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 """Begin of a message in CDR."""
@@ -206,7 +207,7 @@ def decode(topic: str, wire: bytes) -> Any:
     return message
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Call:
     """A question to a service, or its answer."""
 

@@ -24,11 +24,12 @@ from mimic.hardware.motors.interface import (
     Feedback,
     Identity,
     MotorCommand,
+    MotorMode,
     OtherHost,
     Register,
     RegisterValue,
 )
-from mimic.records import DOUBLED, JOINTS, FloatArray, JointCommand
+from mimic.records import DOUBLED, JOINTS, FloatArray, JointCommand, joint_names
 
 ALL = tuple(range(len(JOINTS)))
 
@@ -289,6 +290,10 @@ class MotorBus:
                 rows[:, joint] = feedback.q, feedback.dq, feedback.tau
         w = self.wiring
         return w.q_of(rows[0]), w.sign * rows[1], w.sign * rows[2]
+
+    def in_other_mode(self, mode: MotorMode) -> str:
+        """Return the names of the joints whose motors say that they are in another mode."""
+        return joint_names(j for j, f in enumerate(self.feedback) if f is not None and f.mode != mode)
 
     def temperature(self) -> FloatArray:
         """Return the newest temperature of each motor (12,) [degC]."""

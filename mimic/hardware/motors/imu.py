@@ -9,12 +9,13 @@ on an MTi-680-DK by its author), the maker's xscandataidentifier.h and its docum
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from mimic.errors import ConfigError, FrameError
+from mimic.frozen import frozen_arrays
 from mimic.geometry import multiply_quats, rotation_from_quat
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.wiring import ImuWiring
@@ -24,7 +25,7 @@ STALE_AFTER = 0.03
 """A reading older than this is not used [s]: three missing samples at 100 Hz; a 50 Hz loop sees it within 50 ms."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class ImuReading:
     """The latest data of an IMU at one moment."""
 
@@ -92,7 +93,7 @@ ORIENTATION_VALID = 1 << 1
 """Bit of the status word."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@frozen_arrays
 class MtiSample:
     """Content of one MTi frame; fields that it does not carry are None."""
 

@@ -10,10 +10,10 @@ All quantities are the motor's own: its sign, its zero, SI units. Signs and offs
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from typing import NamedTuple, Protocol
 
+from mimic.frozen import frozen
 from mimic.hardware.can.frame import CanFrame
 
 
@@ -62,7 +62,7 @@ class MotorCommand(NamedTuple):
     """[N m]"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class Feedback:
     """What a motor measures."""
 
@@ -81,7 +81,7 @@ class Feedback:
     """Fault bits as the maker defines them, below bit 6; 0 without a fault."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class RegisterValue:
     """Answers a question for a register."""
 
@@ -90,7 +90,7 @@ class RegisterValue:
     value: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class Identity:
     """Answers the question who has an id."""
 
@@ -99,7 +99,7 @@ class Identity:
     """Unique number of the motor."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class FaultReport:
     """Sent unasked when faults change."""
 
@@ -110,7 +110,7 @@ class FaultReport:
     """Warning bits as the maker defines them."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class OtherHost:
     """A frame between a motor and another computer."""
 
@@ -127,7 +127,7 @@ class OtherHost:
 Answer = Feedback | RegisterValue | Identity | FaultReport | OtherHost
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class MotorFacts:
     """What the motors of one maker can do. Each number needs a source where it is set."""
 

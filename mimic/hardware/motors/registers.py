@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from mimic.errors import PlantError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motors.bus import ALL, MotorBus
-from mimic.hardware.motors.interface import Register
-from mimic.records import JOINTS, FloatArray
+from mimic.hardware.motors.interface import MotorMode, Register
+from mimic.records import JOINTS, FloatArray, joint_names
 
 ANSWER_TIMEOUT = 0.05
 """A motor answers within a millisecond on a quiet bus; adapters and a busy computer take the rest [s]."""
@@ -50,14 +50,55 @@ def _ask_feedback(motor_bus: MotorBus, question: Callable[[int], CanFrame]) -> l
     return ask(motor_bus, question, lambda joint: motor_bus.came[joint] > since)
 
 
+def need_all_off(motor_bus: MotorBus) -> None:
+    """Switch the motors off.
+
+    Raises:
+        PlantError: If one does not answer.
+    """
+    need(stop(motor_bus))
+
+
+def set_up(motor_bus: MotorBus, torque_limit: float) -> None:
+    """Set the registers of motors that are off; the torque limit is in N m.
+
+    Raises:
+        PlantError: If a motor does not accept it.
+    """
+    facts = motor_bus.motors.facts
+    if Register.CONTROL_MODE in facts.registers:  # only a motor that is off may change it
+        set_register(motor_bus, Register.CONTROL_MODE, facts.impedance_mode)
+    set_register(motor_bus, Register.TORQUE_LIMIT, torque_limit)
+    set_host_timeout(motor_bus)
+
+
+def set_host_timeout(motor_bus: MotorBus) -> bool:
+    """Ask the motors to stop by themselves when no host sends anything; return whether all of them read it back."""
+    value = motor_bus.motors.facts.host_timeout
+    return bool(np.all(np.abs(write(motor_bus, Register.HOST_TIMEOUT, value) - value) < 0.5))
+
+
+def switch_on(motor_bus: MotorBus) -> None:
+    """Switch the motors on, where they are and without gains.
+
+    Raises:
+        PlantError: If one does not answer, or stays off.
+    """
+    need(_ask_feedback(motor_bus, motor_bus.motors.enable))
+    off = motor_bus.in_other_mode(MotorMode.RUNNING)
+    if off:
+        raise PlantError(f"{off} did not switch on; to see why, run: mimic robot check")
+
+
+def need(silent: Sequence[int]) -> None:
+    """Raise a PlantError with the joints whose motors did not answer, if there are any."""
+    if len(silent):
+        raise PlantError(f"no answer from {joint_names(silent)}; is the power on? Run: mimic robot scan")
+
+
 def stop(motor_bus: MotorBus) -> list[int]:
     """Switch every motor off; return the joints whose motors did not answer."""
     return _ask_feedback(motor_bus, motor_bus.motors.stop)
-
-
-def enable(motor_bus: MotorBus) -> list[int]:
-    """Switch every motor on; return the joints whose motors did not answer."""
-    return _ask_feedback(motor_bus, motor_bus.motors.enable)
 
 
 def set_zero(motor_bus: MotorBus) -> None:

@@ -9,7 +9,7 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from mimic.control.safety.safety_limits import limits_for
 from mimic.errors import BusError, ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check
-from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, no_report
+from mimic.hardware.robot.driver import NEVER, SILENT, CheckOptions, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
@@ -115,68 +115,6 @@ class Bus:
         raise NotImplementedError
 
 
-class BoardReadings:
-    """The newest readings of a board.
-
-    Readings count from when their messages came: the robot's own clock may be set at any time, and is not used.
-    """
-
-    def __init__(self, wiring: JointWiring) -> None:
-        self._wiring = wiring
-        self.report: Any = no_report()
-        """Newest readings; a scalar of REPORT."""
-        self.report["err_flag"] = NO_ERR_FLAG
-        self.joints = 0
-        """Messages with joint angles so far."""
-
-    def take_joints(self, q: FloatArray, dq: FloatArray) -> bool:
-        """Take angles (12,) [rad] and velocities (12,) [rad/s], if joints can have them; else count an error."""
-        ranges = self._wiring.readings
-        if not bool(np.all(np.abs(q) <= ranges.angle) and np.all(np.abs(dq) <= ranges.velocity)):  # false for NaN
-            self.report["errors"] += 1
-            return False
-        self.report["q"] = q
-        self.report["dq"] = dq
-        return True
-
-    def take_motors(self, q: FloatArray, dq: FloatArray, tau: FloatArray, temperature: FloatArray, t: float) -> bool:
-        """Take a full set of readings (12,) that came at time t [s], if motors can have them; else count an error."""
-        report = self.report
-        (coldest, warmest) = self._wiring.readings.temperature
-        if not (
-            np.all(np.abs(tau) <= self._wiring.readings.torque)
-            and temperature.min() >= coldest
-            and temperature.max() <= warmest
-        ):
-            report["errors"] += 1
-            return False
-        if not self.take_joints(q, dq):
-            return False
-        if report["readings"]:
-            report["round_trip"] = t - float(report["came"].max())
-        report["tau"] = tau
-        report["temperature"] = temperature
-        report["came"] = t
-        report["readings"] += 1
-        return True
-
-    def take_orientation(self, quat: FloatArray, omega: FloatArray, t: float) -> None:
-        """Take a quaternion in the board's order (4,) and a rate of turn (3,) [rad/s], or count an error."""
-        report = self.report
-        quat = quat[self._wiring.quat]
-        length = float(np.linalg.norm(quat))
-        if not (np.all(np.abs(omega) <= self._wiring.readings.turn_rate) and abs(length - 1.0) < 0.05):
-            report["errors"] += 1
-            return
-        quat = quat / length
-        if not (np.array_equal(quat, report["quat_WB"]) and np.array_equal(omega, report["omega_B"])):
-            report["imu_changed"] = t
-        report["quat_WB"] = quat
-        report["omega_B"] = omega
-        report["imu_came"] = t
-        report["imu_count"] += 1
-
-
 class BoardDriver:
     """What a `mimic.hardware.robot.driver.Driver` of any board does; `start`, `_send` and `end` are its own."""
 
@@ -192,7 +130,6 @@ class BoardDriver:
         bus: Bus,
         wiring: JointWiring,
         description: RobotDescription,
-        readings: BoardReadings,
         *,
         network: str,
         torque_limit: float | None,
@@ -203,7 +140,6 @@ class BoardDriver:
             bus: The network.
             wiring: Of the board.
             description: The robot; its largest velocity gain damps.
-            readings: Takes its messages.
             network: How messages leave this computer, in words.
             torque_limit: Refused if below the motors' own: a board has no such limit.
 
@@ -220,15 +156,15 @@ class BoardDriver:
         bus.heard = self.heard
         self._description = description
         self._limits = limits_for(description)
-        self._joints = wiring
-        self._kd = min(description.kd_max, wiring.kd_max)
-        self.readings = readings
+        self._order = wiring
+        self._kd = min(description.kd_max, wiring.limits.kd)
         self._foreign = NEVER
-
-    @property
-    def report(self) -> Any:
-        """Newest readings; a scalar of REPORT."""
-        return self.readings.report
+        self.report: Any = no_report()
+        """Newest readings; a scalar of REPORT. They count from when their messages came: the robot's own clock may be
+        set at any time, and is not used."""
+        self.report["err_flag"] = NO_ERR_FLAG
+        self.joint_messages = 0
+        """Messages with joint angles so far."""
 
     def now(self) -> float:
         """Return the time of the messages [s]."""
@@ -237,6 +173,53 @@ class BoardDriver:
     def heard(self, channel: str, data: bytes, t: float) -> None:
         """Take a message that arrived at time t [s]."""
         raise NotImplementedError
+
+    def _take_joints(self, q: FloatArray, dq: FloatArray) -> bool:
+        """Take angles (12,) [rad] and velocities (12,) [rad/s], if joints can have them; else count an error."""
+        ranges = self._order.readings
+        if not bool(np.all(np.abs(q) <= ranges.angle) and np.all(np.abs(dq) <= ranges.velocity)):  # false for NaN
+            self.report["errors"] += 1
+            return False
+        self.report["q"] = q
+        self.report["dq"] = dq
+        return True
+
+    def _take_motors(self, q: FloatArray, dq: FloatArray, tau: FloatArray, temperature: FloatArray, t: float) -> bool:
+        """Take a full set of readings (12,) that came at time t [s], if motors can have them; else count an error."""
+        report = self.report
+        (coldest, warmest) = self._order.readings.temperature
+        if not (
+            np.all(np.abs(tau) <= self._order.readings.torque)
+            and temperature.min() >= coldest
+            and temperature.max() <= warmest
+        ):
+            report["errors"] += 1
+            return False
+        if not self._take_joints(q, dq):
+            return False
+        if report["readings"]:
+            report["round_trip"] = t - float(report["came"].max())
+        report["tau"] = tau
+        report["temperature"] = temperature
+        report["came"] = t
+        report["readings"] += 1
+        return True
+
+    def _take_orientation(self, quat: FloatArray, omega: FloatArray, t: float) -> None:
+        """Take a quaternion in the board's order (4,) and a rate of turn (3,) [rad/s], or count an error."""
+        report = self.report
+        quat = quat[self._order.wxyz]
+        length = float(np.linalg.norm(quat))
+        if not (np.all(np.abs(omega) <= self._order.readings.turn_rate) and abs(length - 1.0) < 0.05):
+            report["errors"] += 1
+            return
+        quat = quat / length
+        if not (np.array_equal(quat, report["quat_WB"]) and np.array_equal(omega, report["omega_B"])):
+            report["imu_changed"] = t
+        report["quat_WB"] = quat
+        report["omega_B"] = omega
+        report["imu_came"] = t
+        report["imu_count"] += 1
 
     def listen(self, until: float, wake: int | None = None) -> bool:
         """Take what comes until a time [s], or until something is to be read from a descriptor."""
@@ -254,7 +237,7 @@ class BoardDriver:
         """Let go of the network."""
         self.bus.close()
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+    def drive(self, command: JointCommand) -> None:
         """Send a command; a message holds those of all joints.
 
         Raises:
@@ -262,17 +245,17 @@ class BoardDriver:
         """
         if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
             raise FrameError("a command holds numbers that are not finite")
-        wiring = self._joints
+        limits = self._order.limits
         report = self.report
         kp = command.kp
         kd = command.kd
-        if kp.max() > wiring.kp_max or kd.max() > wiring.kd_max:
+        if kp.max() > limits.kp or kd.max() > limits.kd:
             raise FrameError(
-                f"a command has Kp {kp.max():g} and Kd {kd.max():g}; {self.name} takes up to {wiring.kp_max:g} and "
-                f"{wiring.kd_max:g}"
+                f"a command has Kp {kp.max():g} and Kd {kd.max():g}; {self.name} takes up to {limits.kp:g} and "
+                f"{limits.kd:g}"
             )
         q, dq, tau = self._followed(command, kp, kd)
-        dq, tau = (np.clip(v, -most, most) for v, most in ((dq, wiring.velocity_max), (tau, wiring.torque_max)))
+        dq, tau = (np.clip(v, -most, most) for v, most in ((dq, limits.velocity), (tau, limits.torque)))
         self._send(q, dq, kp, kd, tau)
         report["q_sent"] = command.q_des
         report["kp_sent"] = kp
@@ -347,6 +330,16 @@ class BoardDriver:
 
     def notes(self) -> list[str]:
         """Return what there is to say of the robot beside its readings."""
+        report = self.report
+        notes = self._own_notes() if self.now() - report["heard"] < SILENT else ["no message comes from the robot"]
+        if report["errors"]:
+            notes.append(f"{int(report['errors'])} messages made no sense")
+        if report["foreign"]:
+            notes.append(f"{int(report['foreign'])} commands of other programs")
+        return notes
+
+    def _own_notes(self) -> list[str]:
+        """Return what there is to say of a robot that answers."""
         raise NotImplementedError
 
     def _own_checks(self) -> tuple[list[Check], str, list[Check]]:
@@ -366,19 +359,19 @@ class BoardDriver:
         self.listen(begin + LISTEN)
         last = self.report
         seconds = self.now() - begin
-        found = [Check(name="network", verdict="ok", text=self.network)]
+        found = [Check("network", "ok", self.network)]
         if last["heard"] < begin:
             text = f"no message came from the robot; {self.asleep}"
-            return [*found, Check(name="messages", verdict="stop", text=text)]
+            return [*found, Check("messages", "stop", text)]
         rates = {name: (count - before[name]) / seconds for name, count in self.counts().items()}
         commands, advice, more = self._own_checks()
         found += [self._messages(rates, int(last["errors"])), *commands]
         q = np.array(last["q"])
         if np.isnan(q).any():
-            return [*found, Check(name="pose", verdict="stop", text="the robot sends no joint angles")]
+            return [*found, Check("pose", "stop", "the robot sends no joint angles")]
         found.append(pose_check(q, description, LYING_TOLERANCE, suspended=suspended, advice=advice))
         if last["imu_came"] == NEVER:
-            found.append(Check(name="IMU", verdict="stop", text="the robot sends no orientation"))
+            found.append(Check("IMU", "stop", "the robot sends no orientation"))
         else:
             quat = np.array(last["quat_WB"])
             omega = np.array(last["omega_B"])
@@ -390,9 +383,9 @@ class BoardDriver:
         text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
         if errors:
             text += f"; {errors} could not be read: the firmware may define its messages differently"
-            return Check(name="messages", verdict="stop", text=text)
+            return Check("messages", "stop", text)
         if min(rates.values()) < LOWEST_RATE:
-            return Check(name="messages", verdict="stop", text=f"{text}; expected at least {LOWEST_RATE:g} Hz of each")
+            return Check("messages", "stop", f"{text}; expected at least {LOWEST_RATE:g} Hz of each")
         if min(rates.values()) < self.usual_rate:
-            return Check(name="messages", verdict="note", text=f"{text}; more than {self.usual_rate:g} Hz are usual")
-        return Check(name="messages", verdict="ok", text=text)
+            return Check("messages", "note", f"{text}; more than {self.usual_rate:g} Hz are usual")
+        return Check("messages", "ok", text)

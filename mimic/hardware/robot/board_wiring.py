@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from mimic.errors import ConfigError
-from mimic.hardware.toml_fields import number, read_file, table
+from mimic.config.ranges import Limited, required
+from mimic.config.values import read_made
+from mimic.errors import AssetError, ConfigError
+from mimic.frozen import frozen, frozen_arrays
 from mimic.io.assets import shipped
 from mimic.records import JOINTS, LEGS, FloatArray, IntArray
 
@@ -20,62 +21,109 @@ BOARDS = ("cyberdog2", "go2")
 
 PARTS = ("abad", "hip", "knee")
 
+ByPart = tuple[float, float, float]
+"""A number for each of PARTS."""
 
-@dataclass(frozen=True, kw_only=True)
-class ReadingRanges:
+
+@frozen
+class CommandRanges(Limited):
+    """Largest numbers of a command."""
+
+    kp: float = required(1e-3, 500.0, "N m/rad")
+    kd: float = required(1e-3, 500.0, "N m s/rad")
+    velocity: float = required(1e-3, 500.0, "rad/s")
+    torque: float = required(1e-3, 500.0, "N m")
+
+
+@frozen
+class ReadingRanges(Limited):
     """Ranges outside of which a reading is that of a damaged message; from minus to plus where there is one number."""
 
-    angle: float
-    """[rad]"""
-    velocity: float
-    """[rad/s]"""
-    torque: float
-    """[N m]"""
-    turn_rate: float
-    """Of the base about each axis [rad/s]."""
+    angle: float = required(1e-3, 1e3, "rad")
+    velocity: float = required(1e-3, 1e3, "rad/s")
+    torque: float = required(1e-3, 1e3, "N m")
+    turn_rate: float = required(1e-3, 1e3, "rad/s")
+    """Of the base about each axis."""
     temperature: tuple[float, float]
     """Lowest and highest [degC]."""
 
+    def __post_init__(self) -> None:
+        Limited.__post_init__(self)
+        low, high = self.temperature
+        if not low < high:
+            raise ConfigError(f"temperature is {list(self.temperature)}; expected the lowest, then the highest")
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointWiring:
-    """Order, signs and ranges of a board. Joint arrays are (12,) in the order of JOINTS."""
+
+@frozen_arrays
+class JointWiring(Limited):
+    """The file of a board: order, signs and ranges. Joint arrays are (12,) in the order of JOINTS."""
 
     path: Path
     """File that it was read from."""
-    index: IntArray
-    """Place of each joint in a message."""
-    sign: FloatArray
-    """Joint angle over angle on the wire."""
-    offset: FloatArray
-    """Joint angle where the wire has zero [rad]."""
-    quat: IntArray
-    """Places of w, x, y, z in a quaternion of the board (4,)."""
-    kp_max: float
-    kd_max: float
-    velocity_max: float
-    torque_max: float
-    readings: ReadingRanges
+    board: str
     host: str
     """Address that this computer should have, with its prefix length."""
+    legs: tuple[str, str, str, str]
+    """In the order of the messages."""
+    sign: ByPart
+    """Joint angle over angle on the wire."""
+    offset: ByPart
+    """Joint angle where the wire has zero [rad]."""
+    quat: str
+    """Order of a quaternion of the board."""
+    limits: CommandRanges
+    readings: ReadingRanges
+
+    def __post_init__(self) -> None:
+        Limited.__post_init__(self)
+        if sorted(self.legs) != sorted(LEGS):
+            raise ConfigError(f"legs is {self.legs}; expected {', '.join(LEGS)} in the order of the messages")
+        if not {*self.sign} <= {-1.0, 1.0}:
+            raise ConfigError(f"sign is {self.sign}; expected 1 or -1 for {', '.join(PARTS)}")
+        if not np.isfinite(self.offset).all():
+            raise ConfigError(f"offset is {self.offset}; expected finite numbers")
+        if sorted(self.quat) != sorted("wxyz"):
+            raise ConfigError(f"quat is {self.quat!r}; expected the order of its numbers, such as 'wxyz'")
+        try:
+            ipaddress.IPv4Interface(self.host)
+        except ValueError:
+            raise ConfigError(f"host is {self.host!r}; expected an address, such as 192.168.44.100/24") from None
+
+    @cached_property
+    def index(self) -> IntArray:
+        """Place of each joint in a message."""
+        return np.array([len(PARTS) * self.legs.index(leg) + part for leg in LEGS for part in range(len(PARTS))])
+
+    @cached_property
+    def signs(self) -> FloatArray:
+        """Joint angle over angle on the wire."""
+        return np.tile(self.sign, len(LEGS))
+
+    @cached_property
+    def offsets(self) -> FloatArray:
+        """Joint angle where the wire has zero [rad]."""
+        return np.tile(self.offset, len(LEGS))
+
+    @cached_property
+    def wxyz(self) -> list[int]:
+        """Places of w, x, y, z in a quaternion of the board (4,)."""
+        return [self.quat.index(letter) for letter in "wxyz"]
 
     def joints(self, wire: Any) -> FloatArray:
         """Return values in joint order and sign (12,), without the offset, of values of a message (12,)."""
-        return self.sign * np.asarray(wire, dtype=np.float64)[self.index]
+        return self.signs * np.asarray(wire, dtype=np.float64)[self.index]
 
     def angles(self, wire: Any) -> FloatArray:
         """Return joint angles (12,) [rad] of angles of a message (12,)."""
-        return self.joints(wire) + self.offset
+        return self.joints(wire) + self.offsets
 
     def wire(self, values: FloatArray) -> FloatArray:
         """Return values of a message (12,) of joint velocities or torques (12,)."""
-        placed = np.empty(len(JOINTS))
-        placed[self.index] = self.sign * values
-        return placed
+        return self.wire_gains(self.signs * values)
 
     def wire_angles(self, q: FloatArray) -> FloatArray:
         """Return angles of a message (12,) [rad] of joint angles (12,) [rad]."""
-        return self.wire(q - self.offset)
+        return self.wire(q - self.offsets)
 
     def wire_gains(self, gains: FloatArray) -> FloatArray:
         """Return gains of a message (12,) of the joints' gains (12,)."""
@@ -87,79 +135,22 @@ class JointWiring:
 W = TypeVar("W", bound=JointWiring)
 
 
-def read_board(kind: type[W], board: str, path: Path | None, more: Callable[[Mapping[str, Any]], dict[str, Any]]) -> W:
+def read_board(kind: type[W], board: str, path: Path | None) -> W:
     """Read the wiring file of a board.
 
     Args:
         kind: Returned.
         board: Its name.
         path: File; None takes the one that ships with the robot.
-        more: Returns the fields that this kind has besides those of a `JointWiring`.
 
     Raises:
         AssetError: If there is no such file.
         ConfigError: If it is not TOML, of another board, or not consistent.
     """
     file = shipped("assets", board, "board.toml") if path is None else path
-    return read_file(file, lambda raw: kind(path=file, **_joint_fields(raw, board), **more(raw)))
-
-
-def _joint_fields(raw: Mapping[str, Any], board: str) -> dict[str, Any]:
-    if raw.get("board") != board:
-        raise ConfigError(f"board is {raw.get('board')!r}; expected {board}, as in assets/{board}/board.toml")
-    legs = raw.get("legs")
-    if not isinstance(legs, list) or sorted(map(str, legs)) != sorted(LEGS):
-        raise ConfigError(f"legs is {legs!r}; expected {', '.join(LEGS)} in the order of the messages")
-    sign = numbers(raw, "sign")
-    offset = numbers(raw, "offset")
-    if any(value not in (-1.0, 1.0) for value in sign):
-        raise ConfigError(f"sign is {sign}; expected 1 or -1 for {', '.join(PARTS)}")
-    order = raw.get("quat")
-    if not isinstance(order, str) or sorted(order) != sorted("wxyz"):
-        raise ConfigError(f"quat is {order!r}; expected the order of its numbers, such as 'wxyz'")
-    limits = table(raw, "limits", "the file")
-    high = {name: number(limits, name, "[limits]") for name in ("kp", "kd", "velocity", "torque")}
-    for name, value in high.items():
-        if not 0.0 < value <= 500.0:
-            raise ConfigError(f"{name} of [limits] is {value:g}; expected more than 0, at most 500")
-    return {
-        "index": np.array([len(PARTS) * legs.index(leg) + part for leg in LEGS for part in range(len(PARTS))]),
-        "sign": np.tile(sign, len(LEGS)),
-        "offset": np.tile(offset, len(LEGS)),
-        "quat": np.array([order.index(letter) for letter in "wxyz"]),
-        **{f"{name}_max": value for name, value in high.items()},
-        "readings": _readings(raw),
-        "host": _host(raw),
-    }
-
-
-def _readings(raw: Mapping[str, Any]) -> ReadingRanges:
-    given = table(raw, "readings", "the file")
-    most = {name: number(given, name, "[readings]") for name in ("angle", "velocity", "torque", "turn_rate")}
-    for name, value in most.items():
-        if value <= 0.0:
-            raise ConfigError(f"{name} of [readings] is {value:g}; expected more than 0")
-    low, high = numbers(given, "temperature", ("lowest", "highest"))
-    if low >= high:
-        raise ConfigError(f"temperature of [readings] is {[low, high]}; expected the lowest, then the highest")
-    return ReadingRanges(**most, temperature=(low, high))
-
-
-def numbers(raw: Mapping[str, Any], name: str, places: Sequence[str] = PARTS) -> list[float]:
-    """Return a list of numbers, one for each place.
-
-    Raises:
-        ConfigError: If it is something else.
-    """
-    values = raw.get(name)
-    if not isinstance(values, list) or len(values) != len(places):
-        raise ConfigError(f"{name} is {values!r}; expected {len(places)} numbers, for {', '.join(places)}")
-    return [number({name: value}, name, "the file") for value in values]
-
-
-def _host(raw: Mapping[str, Any]) -> str:
-    given = raw.get("host")
-    try:
-        return str(ipaddress.IPv4Interface(given))  # type: ignore[arg-type]
-    except ValueError:
-        raise ConfigError(f"host is {given!r}; expected an address, such as 192.168.44.100/24") from None
+    if not file.is_file():
+        raise AssetError(f"there is no wiring file {file}")
+    made = read_made(kind, file, path=file)
+    if made.board != board:
+        raise ConfigError(f"{file}: board is {made.board!r}; expected {board}, as in assets/{board}/board.toml")
+    return made

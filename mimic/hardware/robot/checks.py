@@ -38,12 +38,15 @@ HOT = 60.0
 """A motor this warm is not started [degC]: a run ends at 72."""
 
 
-@dataclass(frozen=True, kw_only=True)
+Verdict = Literal["ok", "note", "stop"]
+
+
+@dataclass(frozen=True)
 class Check:
     """The result of one check."""
 
     name: str
-    verdict: Literal["ok", "note", "stop"]
+    verdict: Verdict
     text: str
 
 
@@ -90,19 +93,19 @@ def pose_check(
         note: What else is odd about the pose; empty where nothing is.
     """
     if np.isnan(q).all():
-        return Check(name="pose", verdict="note", text="unknown without the zeros")
+        return Check("pose", "note", "unknown without the zeros")
     beyond = beyond_limits(q, description)
     if len(beyond):
         angles = ", ".join(f"{JOINTS[j]} at {q[j]:.2f} rad" for j in beyond)
-        return Check(name="pose", verdict="stop", text=f"beyond the joint limits: {angles}")
+        return Check("pose", "stop", f"beyond the joint limits: {angles}")
     if suspended:
-        return Check(name="pose", verdict="ok", text="all joints inside their limits")
+        return Check("pose", "ok", "all joints inside their limits")
     away = q - description.poses["lie"]
     worst = int(np.argmax(np.abs(away)))
     text = f"{JOINTS[worst]} is {np.rad2deg(away[worst]):+.0f} deg from the lying pose, the others less"
     if abs(away[worst]) > tolerance:
-        return Check(name="pose", verdict="stop", text=f"{text}; {advice}")
-    return Check(name="pose", verdict="note" if note else "ok", text=f"{text}; {note}" if note else text)
+        return Check("pose", "stop", f"{text}; {advice}")
+    return Check("pose", "note" if note else "ok", f"{text}; {note}" if note else text)
 
 
 def imu_checks(
@@ -126,23 +129,23 @@ def imu_checks(
     """
     turning = float(np.linalg.norm(omega_B))
     if turning > MAX_TURN_RATE and not suspended:
-        return [Check(name="IMU", verdict="stop", text=f"it turns at {turning:.2f} rad/s; keep the robot still")]
-    found = [Check(name="IMU", verdict="ok", text=text)]
+        return [Check("IMU", "stop", f"it turns at {turning:.2f} rad/s; keep the robot still")]
+    found = [Check("IMU", "ok", text)]
     if suspended:
         return found
     up = rotation_from_quat(quat_WB)[2]
     tilt = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
     if tilt > MAX_TILT:
         text = f"tilted by {np.rad2deg(tilt):.0f} deg; a lying robot is level within {np.rad2deg(MAX_TILT):.0f} deg"
-        return [*found, Check(name="IMU and legs", verdict="stop", text=text)]
+        return [*found, Check("IMU and legs", "stop", text)]
     if np.isnan(q).any():
         return found
     apart = float(np.arccos(np.clip(up @ feet_normal(q, description), -1.0, 1.0)))
     text = f"up by IMU and by the four feet differ by {np.rad2deg(apart):.0f} deg"
     if apart > MAX_LEGS_TILT:
         text = f"{text}; is the IMU mounted as the wiring says, and does every foot touch the ground?"
-        return [*found, Check(name="IMU and legs", verdict="stop", text=text)]
-    return [*found, Check(name="IMU and legs", verdict="ok", text=text)]
+        return [*found, Check("IMU and legs", "stop", text)]
+    return [*found, Check("IMU and legs", "ok", text)]
 
 
 def feet_normal(q: FloatArray, description: RobotDescription) -> FloatArray:

@@ -6,12 +6,11 @@ its own: `mimic.hardware.robot.sender` says when to send what.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
+from mimic.frozen import frozen
 from mimic.hardware.robot.checks import Check
 from mimic.records import JOINTS, JointCommand
 
@@ -77,12 +76,27 @@ def no_report() -> Any:
     return report
 
 
-@dataclass(frozen=True, kw_only=True)
+SILENT = 0.5
+"""Who has said nothing for this long is shown as silent [s]."""
+
+
+def newest(report: Any, since: float) -> Any:
+    """Return a report with NaN for joints, and for an IMU, that said nothing after a time [s]."""
+    report = report.copy()
+    came = report["came"] if np.isfinite(report["came"]).any() else report["heard"]
+    for name in ("q", "dq", "tau", "temperature"):
+        report[name] = np.where(came > since, report[name], np.nan)
+    for name in ("quat_WB", "omega_B"):
+        report[name] = report[name] if report["imu_came"] > since else np.nan
+    return report
+
+
+@frozen
 class CheckOptions:
     """What the pre-flight needs to know of the run."""
 
-    rate_hz: Sequence[Any] | float
-    """Commands a second to each motor, or to these motors in each part of a motion (parts, 12) [Hz]."""
+    rate_hz: float
+    """Commands a second to each motor [Hz]."""
     suspended: bool = False
     """The robot hangs in the air instead of lying on the floor."""
     inference: float | None = None
@@ -121,8 +135,8 @@ class Driver(Protocol):
         """
         ...
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
-        """Send a command to these joints; where the way to the robot fails, ``problem`` says so.
+    def drive(self, command: JointCommand) -> None:
+        """Send a command; where the way to the robot fails, ``problem`` says so.
 
         Raises:
             FrameError: If it is not finite, or the robot does not take its gains.
@@ -169,7 +183,7 @@ class Driver(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class DriverSettings:
     """What it takes to open the driver of a robot, in any process."""
 

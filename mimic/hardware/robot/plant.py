@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import PlantError, SenderError
-from mimic.hardware.robot.driver import ALL, no_report
-from mimic.hardware.robot.process import HANGS, SenderLink
+from mimic.hardware.robot.driver import no_report
+from mimic.hardware.robot.process import HANGS, SenderProcess
 from mimic.hardware.robot.sender import Order, State
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.description import RobotDescription
@@ -37,7 +37,7 @@ class Robot:
     health. The position of the base is not measured.
     """
 
-    def __init__(self, link: SenderLink, description: RobotDescription, *, suspended: bool = False) -> None:
+    def __init__(self, link: SenderProcess, description: RobotDescription, *, suspended: bool = False) -> None:
         """Prepare the plant; nothing is sent yet.
 
         Args:
@@ -81,13 +81,12 @@ class Robot:
         self._busy = None
         return self.step(idle_command(np.clip(self.report["q"], d.q_min, d.q_max))).state
 
-    def step(self, command: JointCommand, dt: float | None = None, joints: Sequence[int] = ALL) -> Tick:
+    def step(self, command: JointCommand, dt: float | None = None) -> Tick:
         """Send a command, collect what the robot says, and wait for the end of the control step.
 
         Args:
             command: For the joints.
             dt: Length of this step [s]; by default the control step.
-            joints: The motors that are commanded.
 
         Raises:
             SenderError: If the sender has ended, hangs, does not obey, or has damped the robot by itself.
@@ -97,7 +96,7 @@ class Robot:
         asked = link.now()
         compute = asked - self._ended
         if not self._damps:
-            link.order(Order(command=command, begin=self._due, joints=tuple(joints)))
+            link.order(Order(command=command, begin=self._due))
         sent_before = int(self.report["sent"])
         self._due += dt
         self._take(link.wait(max(self._due, asked + ANSWERS)))
@@ -112,7 +111,7 @@ class Robot:
         if now - heard > HANGS and not link.left:
             raise SenderError(f"the process that sends to the robot hangs: it said nothing for {now - heard:.2f} s")
         if heard > asked:
-            self._compare(command, list(joints), sent_before, asked)
+            self._compare(command, sent_before, asked)
         t = now if heard > asked else heard  # nothing ages while the sender is silent
         if heard > asked:
             self._missed = np.where(self.report["came"] > asked, 0, self._missed + 1)
@@ -132,7 +131,7 @@ class Robot:
             self.link.damp()
         return self._started and not self.link.left
 
-    def _compare(self, command: JointCommand, joints: list[int], sent_before: int, asked: float) -> None:
+    def _compare(self, command: JointCommand, sent_before: int, asked: float) -> None:
         """End a sender that does not send what it was ordered.
 
         Raises:
@@ -140,14 +139,14 @@ class Robot:
         """
         before = self._command
         self._command = command
-        strays = self._strays(command, before or command, joints, sent_before)
+        strays = self._strays(command, before or command, sent_before)
         self._strays_since = min(self._strays_since, asked) if strays else np.inf
         seconds = self.link.now() - self._strays_since
         if seconds > DEVIATES:
             self.link.end()
             raise SenderError(f"the process that sends to the robot {strays} for {seconds:.2f} s, and was ended")
 
-    def _strays(self, command: JointCommand, before: JointCommand, joints: list[int], sent_before: int) -> str:
+    def _strays(self, command: JointCommand, before: JointCommand, sent_before: int) -> str:
         """Return what the sender does instead of what it was ordered; empty where it obeys."""
         report = self.report
         (stiffer, away) = ROUNDED
@@ -156,7 +155,7 @@ class Robot:
         if report["sent"] <= sent_before:
             return "has sent nothing"
         kp = np.zeros(len(JOINTS)) if self._damps else command.kp
-        if np.any(np.abs(report["kp_sent"] - kp)[joints] > stiffer):  # false for NaN, where a bus took nothing
+        if np.any(np.abs(report["kp_sent"] - kp) > stiffer):  # false for NaN, where a bus took nothing
             return "has sent another stiffness than it was ordered"
         if self._damps:
             return ""
@@ -164,8 +163,7 @@ class Robot:
         low = np.minimum(first, command.q_des) - away
         high = np.maximum(first, command.q_des) + away
         q = report["q_sent"]
-        wrong = (q < low) | (q > high)
-        return "has sent other targets than it was ordered" if wrong[joints].any() else ""
+        return "has sent other targets than it was ordered" if np.any((q < low) | (q > high)) else ""
 
     @property
     def now(self) -> float:
@@ -206,16 +204,9 @@ class Robot:
         report = self.report
         nothing = np.full(3, np.nan)
         said = report["came"] > since
-        return RobotState(
-            t=self._ended - self._began,
-            q=np.where(said, report["q"], np.nan),
-            dq=np.where(said, report["dq"], np.nan),
-            tau=np.where(said, report["tau"], np.nan),
-            quat_WB=np.array(report["quat_WB"]),
-            omega_B=np.array(report["omega_B"]),
-            p_WB=nothing,
-            v_WB=nothing,
-        )
+        joints: dict[str, Any] = {name: np.where(said, report[name], np.nan) for name in ("q", "dq", "tau")}
+        base: dict[str, Any] = {name: np.array(report[name]) for name in ("quat_WB", "omega_B")}
+        return RobotState(t=self._ended - self._began, **joints, **base, p_WB=nothing, v_WB=nothing)
 
     def _health(self, compute: float, late: float, now: float, t: float) -> Health:
         report = self.report
@@ -244,13 +235,11 @@ class Robot:
         rows = self._samples
         if not rows:
             return None
-        return JointSamples(
-            t=np.array([float(row["came"].max()) - self._began for row in rows]),
-            q=np.array([row["q"] for row in rows]),
-            dq=np.array([row["dq"] for row in rows]),
-            tau=np.array([row["tau"] for row in rows]),
-            q_des=np.repeat(sent.position_target()[None], len(rows), axis=0),
-        )
+        readings: dict[str, Any] = {}
+        for name in ("q", "dq", "tau"):
+            readings[name] = np.array([row[name] for row in rows])
+        t = np.array([float(row["came"].max()) - self._began for row in rows])
+        return JointSamples(t=t, **readings, q_des=np.repeat(sent.position_target()[None], len(rows), axis=0))
 
     def load(self) -> FloatArray:
         """Return the share of time that each bus was busy since the start (buses,); empty for a motion board."""

@@ -14,10 +14,9 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -64,58 +63,8 @@ _ENDING = b"T"
 _LARGEST = 1 << 17
 
 
-class SenderLink(Protocol):
-    """A sender as the plant sees it, in a process of its own or in an emulation."""
-
-    @property
-    def problem(self) -> str:
-        """Why the sender takes no orders any more, as a sentence without its full stop; empty while it does."""
-        ...
-
-    def now(self) -> float:
-        """Return the time of the reports [s]."""
-        ...
-
-    def checks(self, options: CheckOptions) -> list[Check]:
-        """Check a robot that nobody drives; nothing moves."""
-        ...
-
-    def start(self, *, suspended: bool = False) -> None:
-        """Switch the motors on without gains.
-
-        Raises:
-            MimicError: If something stands against it.
-        """
-        ...
-
-    def order(self, order: Order) -> None:
-        """Give an order."""
-        ...
-
-    def wait(self, until: float) -> Sequence[Any]:
-        """Wait until a time [s], and return the reports (scalars of REPORT) that came since the last call."""
-        ...
-
-    def damp(self) -> None:
-        """Have the robot damped until it rests and switched off; this cannot be taken back."""
-        ...
-
-    @property
-    def left(self) -> bool:
-        """Whether the sender has said how the robot was left, or can say nothing any more."""
-        ...
-
-    def end(self) -> None:
-        """End a sender that does not obey: it sends nothing from now on."""
-        ...
-
-    def finish(self) -> str:
-        """Damp the robot until it rests, and return how it was left, as a sentence without its full stop."""
-        ...
-
-
 class SenderProcess:
-    """Starts the process that sends, and talks to it; a `SenderLink`."""
+    """Starts the process that sends, and talks to it."""
 
     def __init__(self, settings: DriverSettings, description: RobotDescription, *, keep: tuple[int, ...] = ()) -> None:
         """Start the process, which opens the robot and only listens.

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,8 @@ import numpy as np
 
 from mimic.control.safety.safety_limits import limits_for
 from mimic.errors import FrameError, MimicError
-from mimic.hardware.robot.driver import ALL, Driver
+from mimic.frozen import frozen_arrays
+from mimic.hardware.robot.driver import Driver
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
@@ -64,15 +65,13 @@ class State(IntEnum):
     """Nothing any more."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen_arrays
 class Order:
     """What the control loop wants of the joints."""
 
     command: JointCommand
     begin: float
     """When its control step was planned to begin [s]; the parts of an interpolated command keep to it."""
-    joints: tuple[int, ...] = ALL
-    """The motors that are commanded."""
 
     def to_bytes(self) -> bytes:
         """Return it as bytes."""
@@ -80,7 +79,7 @@ class Order:
         numbers = np.zeros((6, len(JOINTS)))
         numbers[:5] = (c.q_des, c.dq_des, c.kp, c.kd, c.tau_ff)
         numbers[5, :2] = (c.ramp, self.begin)
-        return np.isin(ALL, self.joints).tobytes() + numbers.tobytes()
+        return numbers.tobytes()
 
     @staticmethod
     def from_bytes(data: bytes) -> Order:
@@ -89,11 +88,9 @@ class Order:
         Raises:
             ValueError: If they are none.
         """
-        count = len(JOINTS)
-        joints = np.flatnonzero(np.frombuffer(data[:count], dtype=bool))
-        q, dq, kp, kd, tau, more = np.frombuffer(data[count:]).reshape(6, count)
+        q, dq, kp, kd, tau, more = np.frombuffer(data).reshape(6, len(JOINTS))
         command = JointCommand(q_des=q, dq_des=dq, kp=kp, kd=kd, tau_ff=tau, ramp=float(more[0]))
-        return Order(command=command, begin=float(more[1]), joints=tuple(map(int, joints)))
+        return Order(command=command, begin=float(more[1]))
 
 
 def why_lost(reason: str) -> str:
@@ -293,7 +290,7 @@ class Sender:
         assert order is not None
         command = order.command
         try:
-            driver.drive(self._part(now), order.joints)
+            driver.drive(self._part(now))
         except FrameError as reason:
             self.damp(str(reason))
             return

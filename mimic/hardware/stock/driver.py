@@ -18,15 +18,25 @@ from typing import Any
 
 import numpy as np
 
-from mimic.errors import PlantError
+from mimic.errors import FrameError, PlantError
 from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, NO_ERR_FLAG, BoardDriver, Bus
+from mimic.hardware.robot.board_wiring import PARTS
 from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import DriverSettings
+from mimic.hardware.robot.driver import NEVER, DriverSettings
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
-from mimic.hardware.stock.messages import MOTOR_CTRL, TIMED_OUT
-from mimic.hardware.stock.readings import Readings
+from mimic.hardware.stock.messages import (
+    LEG_CONTROL_DATA,
+    MOTOR_CTRL,
+    MOTOR_CTRL_STATE,
+    MOTOR_ERRORS,
+    MOTOR_RUNNING,
+    SPI_DATA,
+    STATE_ESTIMATOR,
+    TIMED_OUT,
+    TYPES,
+)
 from mimic.hardware.stock.wiring import BoardWiring, load_board
-from mimic.records import JOINTS, FloatArray, JointCommand
+from mimic.records import JOINTS, LEGS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 
 CLEAR_TIMEOUT = 8.0
@@ -75,22 +85,74 @@ class StockDriver(BoardDriver):
         torque_limit: float | None = None,
     ) -> None:
         """Take an open bus; nothing is sent. See `mimic.hardware.robot.board.BoardDriver`."""
-        readings = Readings(wiring)
-        super().__init__(bus, wiring, description, readings, network=network, torque_limit=torque_limit)
-        self._board = readings
+        super().__init__(bus, wiring, description, network=network, torque_limit=torque_limit)
         self._wiring = wiring
+        self.commanded = NEVER
+        """When the board last spoke of the commands that it gets [s]."""
+        self._room = np.tile(wiring.limits.cut, len(LEGS)) - wiring.limits.cut_margin
         self._own: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._own_set: dict[bytes, int] = {}
         # tells own zero messages from others'; NumPy's generators take 40 ms to load, while a robot must be damped
         self._tag = np.array([random.uniform(-0.05, 0.05) for _ in JOINTS])
 
     def heard(self, channel: str, data: bytes, t: float) -> None:
-        """Take a message that arrived at time t [s]."""
-        if channel != MOTOR_CTRL.channel:
-            self._board.take(channel, data, t)
-        elif data not in self._own_set:
-            self.report["foreign"] += 1
-            self._foreign = t
+        """Take a message that arrived at time t [s].
+
+        One that cannot be read, or has numbers outside of the wiring's ranges, is left out and counted.
+        """
+        report = self.report
+        if channel == MOTOR_CTRL.channel:
+            if data not in self._own_set:
+                report["foreign"] += 1
+                self._foreign = t
+            return
+        try:
+            message = TYPES[channel].decode(data)
+        except FrameError:
+            report["errors"] += 1
+            return
+        report["heard"] = t
+        if channel == SPI_DATA.channel:
+            self._take_spi(message, t)
+        elif channel == LEG_CONTROL_DATA.channel:
+            self._take_legs(message)
+        elif channel == STATE_ESTIMATOR.channel:
+            quat = message["quat"].astype(np.float64)
+            omega = message["omegaBody"].astype(np.float64)
+            self._take_orientation(quat, omega, t)
+        elif channel == MOTOR_CTRL_STATE.channel:
+            self._take_state(message, t)
+
+    def _take_state(self, message: Any, t: float) -> None:
+        report = self.report
+        interval = float(message["ctrl_topic_interval"])
+        if not np.isfinite(interval):
+            report["errors"] += 1
+            return
+        report["err_flag"] = int(message["err_flag"]) & 0xFFFF
+        self.commanded = t
+        report["gap"] = 1e-3 * interval
+
+    def _take_spi(self, message: Any, t: float) -> None:
+        wiring = self._wiring
+        report = self.report
+
+        def by_leg(name: str) -> Any:
+            return np.stack([message[f"{name}_{part}"] for part in PARTS], axis=1).reshape(len(JOINTS))
+
+        q = wiring.angles(by_leg("q"))
+        dq = wiring.joints(by_leg("qd"))
+        tau = wiring.joints(by_leg("tau"))
+        temperature = wiring.temperature_unit * by_leg("tmp").astype(np.float64)[wiring.index]
+        if self._take_motors(q, dq, tau, temperature, t):
+            flags = message["flags"].astype(np.int64)[wiring.index] & 0xFFFFFFFF
+            report["faults"] = flags & MOTOR_ERRORS
+            report["running"] = flags >> 30 == MOTOR_RUNNING
+
+    def _take_legs(self, message: Any) -> None:
+        self.joint_messages += 1
+        if not self.report["readings"]:
+            self._take_joints(self._wiring.angles(message["q"]), self._wiring.joints(message["qd"]))
 
     asleep = (
         "is it switched on and awake, the cable in, this computer at the wiring's address, and developer access "
@@ -99,9 +161,9 @@ class StockDriver(BoardDriver):
 
     def counts(self) -> dict[str, int]:
         """Return how many messages with joints and with orientations came so far."""
-        return {"leg_control_data": self.readings.joints, "state_estimator": int(self.report["imu_count"])}
+        return {"leg_control_data": self.joint_messages, "state_estimator": int(self.report["imu_count"])}
 
-    def notes(self) -> list[str]:
+    def _own_notes(self) -> list[str]:
         """Return whether it is in motor mode."""
         err_flag = int(self.report["err_flag"])
         return ["not in motor mode" if err_flag == NO_ERR_FLAG else f"error flag {err_flag:#04x}"]
@@ -114,8 +176,8 @@ class StockDriver(BoardDriver):
         motors = "motor temperatures and errors are known once the first command was sent, and checked then"
         own = "its firmware damps it by itself 0.5 s after the last message"
         more = [
-            Check(name="motors", verdict="note", text=motors),
-            Check(name="own timeout", verdict="ok", text=own),
+            Check("motors", "note", motors),
+            Check("own timeout", "ok", own),
         ]
         return [_commands(self.report)], advice, more
 
@@ -129,7 +191,7 @@ class StockDriver(BoardDriver):
         """
         began = self.now()
         self._await(
-            lambda: self._board.commanded > began,
+            lambda: self.commanded > began,
             ENTER_TIMEOUT,
             self._zero,
             "the robot does not enter motor mode, which it does only from lying, switched off or damped. It hears no "
@@ -160,7 +222,7 @@ class StockDriver(BoardDriver):
     def _followed(self, command: JointCommand, kp: FloatArray, kd: FloatArray) -> tuple[FloatArray, ...]:
         q = self.report["q"]
         target = command.q_des
-        room = self._wiring.cut - self._wiring.cut_margin
+        room = self._room
         near = np.where(np.isfinite(q), np.clip(target, q - room, q + room), target)
         rest = kp * (target - near)
         by_velocity = kd >= _SMALL_KD
@@ -217,14 +279,14 @@ class StockDriver(BoardDriver):
 def _commands(last: Any) -> Check:
     if last["foreign"]:
         text = f"another program commands this robot ({int(last['foreign'])} messages in {LISTEN:g} s); end it first"
-        return Check(name="other programs", verdict="stop", text=text)
+        return Check("other programs", "stop", text)
     if last["err_flag"] == NO_ERR_FLAG:
         text = "none commands this robot; its firmware is not in motor mode yet"
-        return Check(name="other programs", verdict="ok", text=text)
+        return Check("other programs", "ok", text)
     if not int(last["err_flag"]) & TIMED_OUT:
         text = "a program commanded this robot within the last half second; wait, and try again"
-        return Check(name="other programs", verdict="stop", text=text)
-    return Check(name="other programs", verdict="ok", text="none commands this robot; it is in motor mode from before")
+        return Check("other programs", "stop", text)
+    return Check("other programs", "ok", "none commands this robot; it is in motor mode from before")
 
 
 def open_stock_driver(settings: DriverSettings, *, quick: bool = False) -> StockDriver:

@@ -3,74 +3,52 @@
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
+from mimic.config.ranges import required
 from mimic.errors import ConfigError
-from mimic.hardware.robot.board_wiring import JointWiring, numbers, read_board
-from mimic.hardware.toml_fields import number, table, whole
-from mimic.records import LEGS, FloatArray
-
-BOARD = "cyberdog2"
+from mimic.frozen import frozen, frozen_arrays
+from mimic.hardware.robot.board_wiring import ByPart, CommandRanges, JointWiring, read_board
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen
+class StockRanges(CommandRanges):
+    """Ranges of a command, and how far a desired position may be from the measured one."""
+
+    cut: ByPart
+    """Largest distance of a desired position from the measured one that the firmware lets pass [rad]."""
+    cut_margin: float = required(0.0, 1.0, "rad")
+    """Distance that mimic keeps from it."""
+
+    def __post_init__(self) -> None:
+        CommandRanges.__post_init__(self)
+        if not min(self.cut) > self.cut_margin:
+            raise ConfigError(f"cut_margin is {self.cut_margin:g} rad; expected less than each cut: {self.cut}")
+
+
+@frozen_arrays
 class BoardWiring(JointWiring):
     """Addresses, order and signs of a board. Joint arrays are (12,) in the order of JOINTS."""
 
     address: str
     """Multicast group."""
-    port: int
-    state_port: int
+    port: int = required(1, 0xFFFF)
+    state_port: int = required(1, 0xFFFF)
     """Of the orientation."""
-    ttl: int
-    temperature_unit: float
-    """[degC]"""
-    cut: FloatArray
-    """Largest distance of a desired position from the measured one that the firmware lets pass (12,) [rad]."""
-    cut_margin: float
-    """Distance that mimic keeps from it [rad]."""
+    ttl: int = required(0, 255)
+    temperature_unit: float = required(1e-6, 1e3, "degC")
+    limits: StockRanges
+
+    def __post_init__(self) -> None:
+        JointWiring.__post_init__(self)
+        try:
+            multicast = ipaddress.IPv4Address(self.address).is_multicast
+        except ValueError:
+            multicast = False
+        if not multicast:
+            raise ConfigError(f"address is {self.address!r}; expected a multicast group, such as 239.255.76.67")
 
 
 def load_board(path: Path | None = None) -> BoardWiring:
-    """Read the wiring of a board.
-
-    Args:
-        path: File; None takes the one that ships with the robot.
-
-    Raises:
-        AssetError: If there is no such file.
-        ConfigError: If it is not TOML or not consistent.
-    """
-    return read_board(BoardWiring, BOARD, path, _own_fields)
-
-
-def _own_fields(raw: Mapping[str, Any]) -> dict[str, Any]:
-    limits = table(raw, "limits", "the file")
-    margin = number(limits, "cut_margin", "[limits]")
-    cut = numbers(limits, "cut")
-    if min(cut) <= margin or margin < 0.0:
-        raise ConfigError(f"cut_margin of [limits] is {margin:g} rad; expected less than each cut: {cut}")
-    return {
-        "address": _group(raw),
-        "port": whole(raw, "port", "the file", 1, 0xFFFF),
-        "state_port": whole(raw, "state_port", "the file", 1, 0xFFFF),
-        "ttl": whole(raw, "ttl", "the file", 0, 255),
-        "temperature_unit": number(raw, "temperature_unit", "the file"),
-        "cut": np.tile(cut, len(LEGS)),
-        "cut_margin": margin,
-    }
-
-
-def _group(raw: Mapping[str, Any]) -> str:
-    given = raw.get("address")
-    try:
-        if ipaddress.IPv4Address(given).is_multicast:  # type: ignore[arg-type]
-            return str(given)
-    except ValueError:
-        pass
-    raise ConfigError(f"address is {given!r}; expected a multicast group, such as 239.255.76.67")
+    """Read the wiring of a board; see `mimic.hardware.robot.board_wiring.read_board`."""
+    return read_board(BoardWiring, "cyberdog2", path)

@@ -29,13 +29,6 @@ def test_a_robot_is_led_and_filmed(tmp_path, capsys):
     assert max(yellow[136:]) == 0
 
 
-def test_the_viewer_without_a_display_is_refused_in_a_line(monkeypatch, capsys):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    assert main(["lead", "--interactive"]) == 2
-    assert "there is no display; --interactive opens MuJoCo's viewer and needs one" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("options", "text"),
     [

@@ -17,7 +17,7 @@ from mimic.config.hardware import BusSettings
 from mimic.control.safety.safety_rules import RULES
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
-from mimic.emulator.motor_frames import encode_answer
+from mimic.emulator.motor import encode_answer
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, PlantError
 from mimic.flows.robot import commissioning
@@ -29,9 +29,9 @@ from mimic.hardware.can.other_programs import look_first
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.bus import MotorBus
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind
 from mimic.hardware.motors.interface import Feedback, MotorCommand, MotorMode
+from mimic.hardware.robot.driver import CheckOptions
 from mimic.hardware.robot.plant import Robot
 from mimic.records import DOUBLED, PHASES, JointCommand
 
@@ -108,7 +108,7 @@ def test_a_second_program_refuses_without_a_frame_while_one_drives_the_robot(rob
     plant = driven(robot, description)
     motor_bus = MotorBus(Beside(robot, plant, description), load_wiring())
     frames = sent_by_hosts(robot)
-    found = preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)
+    found = preflight(motor_bus, description, CheckOptions(rate_hz=50.0), trust_zeros=True)
     assert (found[-1].name, found[-1].verdict) == ("other programs", "stop")
     assert "another program commands the motors" in found[-1].text
     assert frames == []
@@ -127,7 +127,7 @@ def test_motors_that_hold_a_robot_for_a_program_that_has_ended_are_not_dropped(r
     motor_bus = MotorBus(EmulatedLink(robot), load_wiring())
     motor_bus.drain()
     motor_bus.foreign = 0
-    found = preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)
+    found = preflight(motor_bus, description, CheckOptions(rate_hz=50.0), trust_zeros=True)
     assert "hold a torque" in found[-1].text
     assert "mimic robot damp" in found[-1].text
     assert {motor.mode for motor in robot.motors} == {MotorMode.RUNNING}
@@ -306,7 +306,7 @@ def test_pre_flight_names_unknown_senders_and_goes_on(robot, description):
     for n in range(100):
         other.send(0, CanFrame(0x700 + n % 8, bytes(8), extended=False))
     other.send(0, CanFrame(0x034, bytes(6), extended=False))
-    found = {c.name: c for c in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
+    found = {c.name: c for c in preflight(motor_bus, description, CheckOptions(rate_hz=50.0), trust_zeros=True)}
     assert found["other programs"].verdict == "note"
     assert "100 frames of unknown senders: 0x700 on" in found["other programs"].text
     assert "2 more identifiers" in found["other programs"].text
@@ -339,7 +339,7 @@ class EchoingLink(EmulatedLink):
 def test_an_adapter_that_echoes_is_no_other_program(robot, description):
     link = EchoingLink(robot)
     motor_bus = MotorBus(link, load_wiring())
-    found = {c.name: c for c in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
+    found = {c.name: c for c in preflight(motor_bus, description, CheckOptions(rate_hz=50.0), trust_zeros=True)}
     assert found["other programs"].verdict == "note"
     assert "the adapter echoes" in found["other programs"].text
     plant = robot_on_can(link, load_wiring(), description)
@@ -402,6 +402,6 @@ def test_two_motors_with_one_id_are_found_before_the_start_and_while_it_runs(rob
     assert bits[-1] & DOUBLED
     motor_bus = plant.link.driver.motor_bus
     plant.close()
-    found = {c.name: c for c in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
+    found = {c.name: c for c in preflight(motor_bus, description, CheckOptions(rate_hz=50.0), trust_zeros=True)}
     assert found["motors"].verdict == "stop"
     assert "FL_hip: two motors have its id" in found["motors"].text

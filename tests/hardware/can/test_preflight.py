@@ -20,6 +20,7 @@ from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import Register
 from mimic.hardware.robot.checks import Check, feet_normal
+from mimic.hardware.robot.driver import CheckOptions
 
 WIRING = load_wiring()
 
@@ -31,7 +32,7 @@ def look(description, *faults: str, wiring=WIRING, zeroed=True, trust=True, rate
         robot.body.data.qpos[7:] = q
     motor_bus = MotorBus(EmulatedLink(robot), wiring)
     motor_bus.link.sleep(0.2)
-    found = preflight(motor_bus, description, rate_hz=rate, homing=None, trust_zeros=trust)
+    found = preflight(motor_bus, description, CheckOptions(rate_hz=rate), trust_zeros=trust)
     assert all(motor.mode.name == "OFF" for motor in robot.motors)
     return {finding.name: finding for finding in found}
 
@@ -94,7 +95,7 @@ def test_zeros_that_were_set_pass(description):
     homing, _ = home(motor_bus, description, None)
     motor_bus = MotorBus(EmulatedLink(robot), with_homing(WIRING, homing))
     motor_bus.link.sleep(3.0)  # nobody keeps its legs folded any more: it sinks
-    found = preflight(motor_bus, description, rate_hz=50.0, homing=homing, trust_zeros=False)
+    found = preflight(motor_bus, description, CheckOptions(rate_hz=50.0), homing=homing)
     assert {f.name: f.verdict for f in found}["zeros"] == "ok"
     assert not [f for f in found if f.verdict == "stop"]
 
@@ -126,7 +127,7 @@ def test_another_position_range_than_the_wirings_is_found_far_from_zero(descript
     robot = EmulatedRobot(description, far, EmulateSettings(zeroed=True, position_range=12.5))
     motor_bus = MotorBus(EmulatedLink(robot), far)
     motor_bus.link.sleep(0.2)
-    found = {f.name: f for f in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
+    found = {f.name: f for f in preflight(motor_bus, description, CheckOptions(rate_hz=50.0), trust_zeros=True)}
     # 0.53 % of 3 rad are 16 mrad, less than the two readings are trusted with; at the lying pose nothing can be told
     assert found["position range"].verdict in ("note", "stop")
     near = look(description)["position range"]

@@ -23,8 +23,7 @@ from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.opening import open_link
 from mimic.hardware.can.python_can import CanLink
 from mimic.hardware.can.wiring import load_wiring
-from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
-from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind
 from mimic.hardware.motors.interface import Feedback, MotorMode
 
 HOST, PATIENCE = 0xFD, 30.0

@@ -16,6 +16,7 @@ from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.step_budget import PARTS, SPARE, step_budget
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.bus import MotorBus
+from mimic.hardware.robot.driver import CheckOptions
 from mimic.hardware.robot.plant import Robot
 from mimic.records import JointCommand
 
@@ -68,10 +69,10 @@ def test_two_buses_leave_more_to_spare():
 def test_a_robot_whose_steps_do_not_fit_is_not_moved(description):
     link = EmulatedLink(EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True)))
     link.sleep(0.1)
-    options = {"rate_hz": 200.0, "homing": None, "trust_zeros": True}
     for inference, verdict in ((0.0005, "ok"), (0.01, "stop")):
-        budget = step_budget(load_wiring(), DT, PARTS, inference)
-        found = {c.name: c for c in preflight(MotorBus(link, load_wiring()), description, budget=budget, **options)}
+        options = CheckOptions(rate_hz=PARTS / DT, inference=inference)
+        motor_bus = MotorBus(link, load_wiring())
+        found = {c.name: c for c in preflight(motor_bus, description, options, trust_zeros=True)}
         assert found["control step"].verdict == verdict
     assert "Use more buses or a faster computer" in found["control step"].text
 

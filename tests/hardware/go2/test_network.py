@@ -33,8 +33,8 @@ def test_without_an_interface_on_the_robots_network_the_command_that_sets_one_up
     ("before", "after", "expected"),
     [
         ('board = "go2"', 'board = "cyberdog2"', "board is 'cyberdog2'; expected go2"),
-        ("motion_switcher = true", "motion_switcher = 1", "motion_switcher is 1; expected true, or false"),
-        ("domain = 0 ", "domain = 231 ", "domain of the file is 231; expected a whole number from 0 to 230"),
+        ("motion_switcher = true", "motion_switcher = 1", "motion_switcher is 1; expected true or false"),
+        ("domain = 0 ", "domain = 231 ", "domain is 231; it must be from 0 to 230"),
         ("sign = [1, 1, 1]", "sign = [1, 1, 0]", "sign is"),
     ],
 )

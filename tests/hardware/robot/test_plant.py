@@ -14,7 +14,7 @@ from mimic.emulator.faults import parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, PlantError, SenderError
 from mimic.hardware.can.wiring import load_wiring
-from mimic.hardware.motors.cybergear.parameters import CAN_TIMEOUT, LIMIT_TORQUE
+from mimic.hardware.motors.cybergear.codec import CAN_TIMEOUT, LIMIT_TORQUE
 from mimic.hardware.motors.interface import MotorMode
 from mimic.hardware.robot.plant import idle_command
 from mimic.records import JOINTS, JointCommand
@@ -593,7 +593,7 @@ def test_a_sender_that_keeps_its_old_target_is_ended(standing_up, description):
 def test_a_sender_that_reports_and_sends_nothing_is_ended(standing_up, description):
     _, plant = standing_up
     driver = plant.link.driver
-    driver.drive = lambda command, joints=(): None
+    driver.drive = lambda command: None
     assert "has sent nothing" in disobeys(plant, description)
 
 

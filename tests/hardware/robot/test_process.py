@@ -328,7 +328,7 @@ def test_a_computer_that_has_slept_damps_the_robot(motors, description, monkeypa
     ("settings", "expected"),
     [
         ({"bus_url": "socketcand://127.0.0.1:9/can0"}, "nobody listens"),
-        ({"bus_url": "can0", "wiring": "/nowhere/bus.toml"}, "cannot be read"),
+        ({"bus_url": "can0", "wiring": "/nowhere/bus.toml"}, "there is no wiring file"),
         ({"bus_url": "cyberdog2", "interface": "eth99"}, "there is no network interface 'eth99'"),
     ],
 )
@@ -358,7 +358,7 @@ def test_watching_shows_joints_and_orientation_and_sends_nothing(board, wiring):
     seen = []
     settings = BusSettings(wiring=str(wiring.path), interface="lo")
     watch_robot("cyberdog2", settings, seconds=1.0, every=0.5, show=seen.append)
-    np.testing.assert_allclose(seen[-1].q, board.robot.body.data.qpos[-12:], atol=0.02)
+    np.testing.assert_allclose(seen[-1].report["q"], board.robot.body.data.qpos[-12:], atol=0.02)
     np.testing.assert_allclose(seen[-1].rpy[:2], 0.0, atol=0.02)
     assert "not in motor mode" in seen[-1].notes
     assert board.robot.err_flag == 0

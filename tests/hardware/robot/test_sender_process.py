@@ -78,7 +78,7 @@ def played(monkeypatch, description):
 
 def test_a_request_goes_out_and_its_answer_comes_back(played):
     link, sender = played
-    found = Check(name="motors", verdict="ok", text="all twelve")
+    found = Check("motors", "ok", "all twelve")
     sender.says(b"A", [asdict(found)])
     assert link.checks(CheckOptions(rate_hz=50.0)) == [found]
     (request,) = sender.heard()

@@ -87,14 +87,14 @@ def test_desired_positions_stay_inside_the_cut_and_the_torque_is_the_policys(awa
 
 def test_the_cut_part_is_held_to_the_boards_velocity_limit():
     _, message = driving(LIE, LIE + 2.5)
-    assert np.abs(message["qd_des"]).max() == BOARD.velocity_max
+    assert np.abs(message["qd_des"]).max() == BOARD.limits.velocity
 
 
 def test_without_damping_the_cut_part_is_torque_held_to_the_boards_limit():
     _, message = driving(LIE, LIE + 0.3, kd=0.0)
     np.testing.assert_allclose(torque(message, LIE, np.zeros(12)), 9.0, atol=1e-3)
     _, message = driving(LIE, LIE + 2.0, kd=0.0)
-    assert np.abs(message["tau_des"]).max() == BOARD.torque_max
+    assert np.abs(message["tau_des"]).max() == BOARD.limits.torque
 
 
 def test_gains_that_the_board_does_not_take_are_refused():

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from mimic.hardware.stock.driver import StockDriver
 from mimic.hardware.stock.messages import LEG_CONTROL_DATA, MOTOR_CTRL_STATE, SPI_DATA, STATE_ESTIMATOR
-from mimic.hardware.stock.readings import Readings
 from mimic.hardware.stock.wiring import load_board
+from mimic.robot.description import load_description
 
 LEG = np.array([0.1, -0.2, 0.3, -0.4])
 
 
-def healthy() -> Readings:
+def silent() -> StockDriver:
+    """Return the driver of a board that has said nothing."""
+    return StockDriver(SimpleNamespace(), load_board(), load_description("cyberdog2"))
+
+
+def healthy() -> StockDriver:
     """Return readings after one message of each kind, at 1 s."""
-    readings = Readings(load_board())
-    readings.take("spi_data", SPI_DATA.encode(q_hip=LEG, qd_knee=LEG, tau_abad=LEG, tmp_hip=[300] * 4), 1.0)
-    readings.take("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=10**9), 1.0)
-    readings.take("motor_ctrl_state", MOTOR_CTRL_STATE.encode(ctrl_topic_interval=2.0), 1.0)
+    readings = silent()
+    readings.heard("spi_data", SPI_DATA.encode(q_hip=LEG, qd_knee=LEG, tau_abad=LEG, tmp_hip=[300] * 4), 1.0)
+    readings.heard("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=10**9), 1.0)
+    readings.heard("motor_ctrl_state", MOTOR_CTRL_STATE.encode(ctrl_topic_interval=2.0), 1.0)
     assert readings.report["errors"] == 0
     return readings
 
@@ -42,15 +50,15 @@ def in_one(values, value) -> np.ndarray:
 def test_a_message_with_a_number_that_no_motor_can_report_is_left_out(damage):
     readings = healthy()
     before = readings.report.copy()
-    readings.take("spi_data", SPI_DATA.encode(**{"q_hip": LEG, "tau_abad": LEG} | damage), 1.002)
+    readings.heard("spi_data", SPI_DATA.encode(**{"q_hip": LEG, "tau_abad": LEG} | damage), 1.002)
     assert readings.report["errors"] == 1
     for name in ("q", "dq", "tau", "temperature", "came", "readings"):
         np.testing.assert_array_equal(readings.report[name], before[name])
 
 
 def test_joints_from_before_motor_mode_are_held_to_the_same_ranges():
-    readings = Readings(load_board())
-    readings.take("leg_control_data", LEG_CONTROL_DATA.encode(q=in_one(np.zeros(12), 40.0)), 1.0)
+    readings = silent()
+    readings.heard("leg_control_data", LEG_CONTROL_DATA.encode(q=in_one(np.zeros(12), 40.0)), 1.0)
     assert readings.report["errors"] == 1
     assert np.isnan(readings.report["q"]).all()
 
@@ -59,21 +67,21 @@ def test_joints_from_before_motor_mode_are_held_to_the_same_ranges():
 def test_an_orientation_that_no_imu_can_report_is_left_out(damage):
     readings = healthy()
     message = {"quat": [1, 0, 0, 0], "timestamp": 1_002_000_000} | damage
-    readings.take("state_estimator", STATE_ESTIMATOR.encode(**message), 1.002)
+    readings.heard("state_estimator", STATE_ESTIMATOR.encode(**message), 1.002)
     assert (readings.report["errors"], readings.report["imu_count"]) == (1, 1)
 
 
 @pytest.mark.parametrize("interval", [np.nan, np.inf, -np.inf])
 def test_an_interval_that_cannot_be_is_left_out(interval):
     readings = healthy()
-    readings.take("motor_ctrl_state", MOTOR_CTRL_STATE.encode(err_flag=2, ctrl_topic_interval=interval), 1.002)
+    readings.heard("motor_ctrl_state", MOTOR_CTRL_STATE.encode(err_flag=2, ctrl_topic_interval=interval), 1.002)
     assert (readings.report["errors"], readings.report["err_flag"]) == (1, 0)
 
 
 def test_what_motors_do_report_at_their_limits_is_taken():
     readings = healthy()
     extremes = {"q_knee": in_one(LEG, -2.8), "qd_hip": in_one(LEG, 38.19), "tau_hip": in_one(LEG, -12.5)}
-    readings.take("spi_data", SPI_DATA.encode(**extremes, tmp_knee=[1200] * 4), 1.002)
+    readings.heard("spi_data", SPI_DATA.encode(**extremes, tmp_knee=[1200] * 4), 1.002)
     assert (readings.report["errors"], readings.report["readings"]) == (0, 2)
 
 
@@ -82,6 +90,6 @@ def test_a_robot_whose_clock_is_set_is_not_silent(step):
     readings = healthy()
     for tick in range(1, 50):
         t, stamp = 1.0 + 0.002 * tick, 10.0 + 0.002 * tick + step * (tick > 20)
-        readings.take("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=round(1e9 * stamp)), t)
+        readings.heard("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=round(1e9 * stamp)), t)
         assert t - readings.report["imu_came"] < 0.01
     assert readings.report["imu_count"] == 50

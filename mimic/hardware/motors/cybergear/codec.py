@@ -8,7 +8,8 @@ the direction of a frame; of type 17, which is both asked and answered, the dest
 A quantity of an operation command or a feedback is an unsigned word w that spans its range evenly. Encoding saturates
 to the range and truncates, as the maker's code does; decoding gives low + w (high - low) / 65535.
 
-Sources: CyberGear manual 4.1; libraries that were read beside it are named where they disagree.
+Sources: CyberGear manual, sections 3.3 and 4.1, English translation in belovictor/cybergear-docs, commit 22c05e2;
+libraries that were read beside it are named where they disagree.
 """
 
 from __future__ import annotations
@@ -16,12 +17,90 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
-from typing import Any, Literal
+from enum import IntEnum, IntFlag
+from typing import Literal
 
 from mimic.errors import ConfigError, FrameError, UnknownFrame
+from mimic.frozen import frozen
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.motors.cybergear.parameters import PARAMETERS, Kind, parameter
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorCommand, MotorMode
+
+
+class Kind(IntEnum):
+    """Communication types, bits 28 to 24 of the identifier; manual 4.1."""
+
+    DEVICE_ID = 0
+    OPERATION = 1
+    FEEDBACK = 2
+    ENABLE = 3
+    STOP = 4
+    SET_ZERO = 6
+    SET_ID = 7
+    READ = 17
+    WRITE = 18
+    FAULT = 21
+    BAUD_RATE = 22
+
+
+class Fault(IntFlag):
+    """Faults in a feedback, bits 21 to 16 of its identifier; manual 4.1.3."""
+
+    UNDER_VOLTAGE = 1
+    OVER_CURRENT = 2
+    OVER_TEMPERATURE = 4
+    MAGNETIC_ENCODER = 8
+    HALL_ENCODER = 16
+    NOT_CALIBRATED = 32
+
+
+OPERATION_MODE = 0
+"""RUN_MODE of a motor that follows operation commands; it must not change while the motor runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A number in the motor that is read or written by its index."""
+
+    name: str
+    kind: Literal["u8", "u32", "f32"] = "f32"
+    low: float = -math.inf
+    high: float = math.inf
+    default: float = 0.0
+
+
+RUN_MODE = 0x7005
+LIMIT_TORQUE = 0x700B
+LIMIT_SPD = 0x7017
+MECH_POS = 0x7019
+IQF = 0x701A
+VBUS = 0x701C
+CAN_TIMEOUT = 0x200C
+
+PARAMETERS = {
+    RUN_MODE: Parameter("run_mode", "u8", 0, 3),
+    LIMIT_TORQUE: Parameter("limit_torque", low=0, high=12, default=12),
+    LIMIT_SPD: Parameter("limit_spd", low=0, high=30),
+    MECH_POS: Parameter("mechPos"),
+    IQF: Parameter("iqf"),
+    VBUS: Parameter("VBUS"),
+    CAN_TIMEOUT: Parameter("CAN_TIMEOUT", "u32", 0, 100000),
+}
+"""Those of the runtime table that mimic uses, manual 4.1.12, and CAN_TIMEOUT of the stored one, manual 3.3.3. The
+default 0 of limit_spd, at which the position mode does not move, is what grrodre/cybergear found. It is not proven that
+public firmware supports CAN_TIMEOUT."""
+
+
+def parameter(index: int) -> Parameter:
+    """Return the parameter of an index.
+
+    Raises:
+        FrameError: If the table has none.
+    """
+    if index not in PARAMETERS:
+        known = ", ".join(f"0x{i:04X}" for i in PARAMETERS)
+        raise FrameError(f"there is no parameter 0x{index:04X}; known are {known}")
+    return PARAMETERS[index]
+
 
 BROADCAST = 0xFE
 """Destination of a device-id answer; manual 4.1.1."""
@@ -54,7 +133,7 @@ _ROUNDING = 1e-6
 """Added before truncating [words], so that a decoded quantity encodes to the word it came from."""
 FAULT_ORDER: Literal["little"] = "little"
 """Byte order of fault reports. Libraries disagree, and the manual does not say; parameters are little-endian."""
-_PACK = {"u8": "<B3x", "i16": "<h2x", "u32": "<I", "f32": "<f"}
+_PACK = {"u8": "<B3x", "u32": "<I", "f32": "<f"}
 
 
 def to_word(value: float, low: float, high: float) -> int:
@@ -89,7 +168,7 @@ class HostMessage:
     """Number to WRITE; 1 where a STOP clears faults."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class ParameterValue:
     """Answers READ.
 
@@ -111,7 +190,7 @@ class MotorMessage:
     host: int = DEFAULT_HOST
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@frozen
 class Codec:
     """Messages to frames and back."""
 
@@ -273,14 +352,8 @@ def parameter_bytes(index: int, value: float) -> bytes:
     p = parameter(index)
     if not math.isfinite(value):
         raise FrameError(f"parameter {p.name} cannot be {value}; expected a finite number")
-    number: Any = min(max(value, p.low), p.high)
-    if p.kind != "f32":
-        low, high = {"u8": (0, 0xFF), "i16": (-0x8000, 0x7FFF), "u32": (0, 0xFFFFFFFF)}[p.kind]
-        number = min(max(int(number), low), high)
-    try:
-        return struct.pack("<H2x", index) + struct.pack(_PACK[p.kind], number)
-    except OverflowError:
-        raise FrameError(f"parameter {p.name} cannot be {value:g}; expected a number of single precision") from None
+    number = min(max(value, p.low), p.high)
+    return struct.pack("<H2x", index) + struct.pack(_PACK[p.kind], number if p.kind == "f32" else int(number))
 
 
 def _index_of(frame: CanFrame) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.motors.cybergear import parameters as gear
+from mimic.hardware.motors.cybergear import codec as gear
 from mimic.hardware.motors.cybergear.codec import (
     KD,
     KP,
@@ -15,9 +15,9 @@ from mimic.hardware.motors.cybergear.codec import (
     WORDS,
     Codec,
     HostMessage,
+    Kind,
     ParameterValue,
 )
-from mimic.hardware.motors.cybergear.parameters import Kind
 from mimic.hardware.motors.interface import (
     Answer,
     Feedback,

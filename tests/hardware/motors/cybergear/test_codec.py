@@ -8,26 +8,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mimic.emulator.motor_frames import encode_answer
+from mimic.emulator.motor import encode_answer
 from mimic.errors import ConfigError, FrameError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motors.cybergear.codec import (
+    CAN_TIMEOUT,
     KD,
     KP,
-    TORQUE,
-    VELOCITY,
-    Codec,
-    HostMessage,
-    MotorMessage,
-    ParameterValue,
-)
-from mimic.hardware.motors.cybergear.parameters import (
-    CAN_TIMEOUT,
     LIMIT_TORQUE,
     MECH_POS,
     PARAMETERS,
     RUN_MODE,
+    TORQUE,
+    VELOCITY,
+    Codec,
+    HostMessage,
     Kind,
+    MotorMessage,
+    ParameterValue,
 )
 from mimic.hardware.motors.cybergear.protocol import CyberGear
 from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorCommand, MotorMode
