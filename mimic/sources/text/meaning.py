@@ -110,6 +110,7 @@ class Action:
     stays: bool = True  # whether the seconds are how long a posture is held, not how long the movement takes
     speed: float = 1.0
     every: float = 0.0  # from one gesture to the next [s]
+    rounds: int = 1  # how often it is done with the posture before it
 
     @property
     def moves_base(self) -> bool:
@@ -389,6 +390,7 @@ class _Reader:
             elif part.data == "around":
                 found = [*found, found[0]]
             self.groups += [group for groups in found for group in groups]
+        self._repeat_pairs()
         self.groups += self._switch(None)
         for start, clause in self.forbidden:
             for action in (action for group in self.groups[start:] for action in group):
@@ -396,6 +398,17 @@ class _Reader:
         if not self.groups:
             raise SourceError("the sentence says only what not to do; say what to do, too")
         return self.groups
+
+    def _repeat_pairs(self) -> None:
+        """Do postures as often as was said, with the one before: "open the arms, then close them, three times"."""
+        groups: Groups = []
+        for group in self.groups:
+            rounds = max(action.rounds for action in group)
+            pair = [*groups[-1:], group]
+            if rounds > 1 and [len(part) for part in pair] != [1, 1]:
+                raise SourceError(f"it is not clear what is done {rounds} times; say it in shorter parts")
+            groups += [group, *pair * (rounds - 1)]
+        self.groups = groups
 
     def _list(self, tree: Tree[Any]) -> Groups:
         """Return the groups of items joined by commas."""
@@ -433,8 +446,8 @@ class _Reader:
         if not groups and item.during:
             raise item.during[0].error("goes with nothing; say what goes on meanwhile")
         for more in (*early, *late):
-            if len(groups) > 1 and item.clear:
-                raise SourceError(f"'{item.during[0].text}' goes with several actions; say with which")
+            if len(groups) > 1 and (item.clear or item.rounds > 1):
+                raise item.during[0].error("goes with several actions; say with which")
             groups = _together(groups, more)
         return groups
 
@@ -798,10 +811,15 @@ class _Reader:
         if times > 1 and kind == "RAISE" and action.way == "up":
             action.verb = "cycle"
             action.way = ""
-        elif times == 1.0:
-            action.amounts.pop("times", None)
+        elif times == 1.0 or self._comes_back(action):
+            action.rounds = int(action.amounts.pop("times", 1.0))
         there = now.has("AGAIN") and all(self.at.get(side) == action.way for side in action.sides)
         now.refuse(there, f"finds the hand {action.way} already; say what it does before")
+
+    def _comes_back(self, action: Action) -> bool:
+        """Return whether a posture ends what the one before it began: "open the arms, then close them, three times"."""
+        before = self.before
+        return before is not None and (before.verb, before.sides) == ("place", action.sides) and before.way != action.way
 
     def _sides(self, now: Clause) -> tuple[str, ...]:
         """Return the hands that a clause names."""
@@ -845,9 +863,7 @@ class _Item:
         parts = tree.children[::-1] if self.leads else tree.children
         self.clauses = _clauses(parts[0])
         self.during = _clauses(parts[1]) if len(parts) > 1 else []
-        self.clear = (
-            len(parts) > 1 and getattr(parts[1], "data", "") == "doing"
-        )  # whether it must be clear with what it goes
+        self.clear = len(parts) > 1 and getattr(parts[1], "data", "") == "doing"  # with what it goes
         self.rounds = 1
 
     def add(self, more: _Item) -> None:
@@ -861,6 +877,8 @@ class _Item:
         else:
             last.add(bare)
         self.clauses += more.clauses[1:]
+        self.during += more.during
+        self.clear = self.clear or more.clear
 
 
 def _clauses(tree: Tree[Any] | Clause) -> list[Clause]:

@@ -21,6 +21,7 @@ SHORTEST = 4  # letters of a word in which one may be wrong; two may have change
 _REWRITTEN = (  # phrases that mean others
     (r"\bback and forth\b", "forward and back"),
     (r"\bdo not\b", "don't"),
+    (r"\bforward, march\b", "forward march"),
     (r"\bshadow ?(ing )?box(ing)?\b", r"\1punch in turn"),
     (r"\bretreat(ing)?\b", r"walk\1 back"),
     (r"\b(half|quarter)( of)? an? ", r"\1 "),
