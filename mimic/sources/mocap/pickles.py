@@ -88,16 +88,11 @@ _STORAGES = {
 
 def _tensor(storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any) -> np.ndarray:
     """Rebuild a tensor as an array."""
-    offset = int(offset)
-    size = tuple(map(int, size))
-    stride = tuple(map(int, stride))  # NumPy's would overflow
-    last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
-    if min((*size, *stride, offset, 0)) < 0 or (0 not in size and last >= len(storage)):
-        raise ValueError("a tensor is larger than its storage")
-    if np.prod(size, dtype=object) * storage.itemsize > LARGEST:
+    step = storage.itemsize
+    if math.prod(map(int, size)) * step > LARGEST:
         raise ValueError("a tensor is too large")
-    strides = tuple(step * storage.itemsize for step in stride)
-    return np.lib.stride_tricks.as_strided(storage[offset:], size, strides).copy()
+    strides = [int(n) * step for n in stride]
+    return np.ndarray(size, storage.dtype, storage, int(offset) * step, strides).copy()  # refuses what goes beyond it
 
 
 class _NdArray:

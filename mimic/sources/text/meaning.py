@@ -79,24 +79,14 @@ VERBS_SAID = (
     "step, walk, turn, stop, wait, wave, punch, jab, raise, lower, open, put, move, hold, point, stretch, crouch or bow"
 )
 AMOUNTS = {
-    "seconds",
-    "metres",
-    "mps",
-    "degrees",
-    "times",
-    "turns",
-    "count",
-    "bare",
-    "steps",
-    "every",
-    "pause",
-    "circle",
-}
+    "seconds", "metres", "mps", "degrees", "times", "turns", "count", "bare", "steps", "every", "pause", "circle",
+}  # fmt: skip
 NAMED = {"GUARD": "guard", "T_POSE": "open"}  # postures of both hands
 CLAUSES = {
     "step", "walk", "turn", "still", "gesture", "place", "trunk", "pose", "repeat", "switch", "more", "forbid",
     "without",
 }  # fmt: skip
+KINDS = {*VERBS, *TRUNK_WAYS, *NAMED, "TURN_AROUND", "COME_BACK", "HIGH_FIVE", "ONE_TWO", "REPEAT", "REPEAT_ALL"}
 
 
 @dataclass(kw_only=True, slots=True)
@@ -340,17 +330,7 @@ def _note_word(now: Clause, token: Token) -> None:
     elif token.type == "BACK_UP":
         now.kind = "WALK"
         now.ways = now.ways | {"back"}
-    elif token.type in VERBS or token.type in (
-        "TURN_AROUND",
-        "COME_BACK",
-        *TRUNK_WAYS,
-        *NAMED,
-        "HIGH_FIVE",
-        "ONE_TWO",
-        "SWITCH",
-        "REPEAT",
-        "REPEAT_ALL",
-    ):
+    elif token.type in KINDS:
         now.kind = now.kind if now.kind == "STEP" or (token.type in NAMED and now.kind == "LOWER") else token.type
     else:
         if token.type in ("HAND", "LEFT", "RIGHT"):
@@ -819,7 +799,8 @@ class _Reader:
     def _comes_back(self, action: Action) -> bool:
         """Return whether a posture ends what the one before it began: "open the arms, then close them, three times"."""
         before = self.before
-        return before is not None and (before.verb, before.sides) == ("place", action.sides) and before.way != action.way
+        same = before is not None and (before.verb, before.sides) == ("place", action.sides)
+        return same and before.way != action.way
 
     def _sides(self, now: Clause) -> tuple[str, ...]:
         """Return the hands that a clause names."""
