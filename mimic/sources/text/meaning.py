@@ -716,7 +716,6 @@ class _Reader:
     def _turn(self, now: Clause, speed: float) -> Action:
         sides = [kind.lower() for kind in ("LEFT", "RIGHT") for _ in now.words.get(kind, [])]
         amounts = dict(now.amounts)
-        turns = [*self.turns]
         if "bare" in amounts:
             value = amounts.pop("bare")
             now.refuse(value < 10, f"has the number {value:g} without a unit; say degrees, steps or seconds")
@@ -730,11 +729,10 @@ class _Reader:
             now.refuse("times" in amounts and "degrees" in amounts, "says how far in two ways; say degrees")
             amounts.setdefault("degrees", 360.0 * amounts.pop("times", 1.0))
         degrees = amounts.get("degrees")
-        if now.ways == {"back"} and len(turns) == 1 and not sides and not degrees:
-            sides = [OPPOSITE[turns[0].sides[0]]]
-            amounts["degrees"] = turns[0].amounts.get("degrees", 90.0)
-            self.turns = []
-            return Action(verb="turn", sides=(sides[0],), amounts=amounts, speed=speed)
+        if now.ways == {"back"} and len(self.turns) == 1 and not sides and not degrees:
+            turn = self.turns.pop()
+            amounts["degrees"] = turn.amounts.get("degrees", 90.0)
+            return Action(verb="turn", sides=(OPPOSITE[turn.sides[0]],), amounts=amounts, speed=speed)
         now.refuse(now.ways - {"around"}, "is not something the robot does; it turns left or right")
         now.refuse(now.ways and degrees is None, "does not say how far; say turn around, or a number of degrees")
         unclear = len(sides) > 1 or not (sides or degrees in (HALF, 360.0) or now.kind == "SPIN")
@@ -961,7 +959,7 @@ def _with_pauses(now: Clause, action: Action, several: bool) -> Groups:
         return [[action]]
     times = int(action.amounts.get("times", 0))
     now.refuse(not times, "has a pause between nothing; say what comes before and behind it")
-    return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * times, now.pause)
+    return _apart([[_once(action)]] * times, now.pause)
 
 
 def _in_turn(now: Clause, action: Action) -> Groups:
