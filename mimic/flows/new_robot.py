@@ -360,12 +360,9 @@ def _written(own: Mapping[str, Any], name: str, unlimited: set[str]) -> tuple[st
                 guessed += full not in own or full in unlimited
                 mark = DERIVED if full in own else GUESSED.format(f", scaled with {kind}" if kind else "")
                 mark = UNLIMITED if full in unlimited else mark
-                lines.append(f"{key} = {_toml(own.get(full, _times(value, by)))}  # {mark}")
+                known = own.get(full, value if by == 1.0 else np.multiply(value, by))
+                lines.append(f"{key} = {_toml(known)}  # {mark}")
     return "\n".join(lines) + "\n", guessed
-
-
-def _times(value: Any, by: float) -> Any:
-    return value if by == 1.0 else np.multiply(value, by)
 
 
 def _toml(value: Any) -> str:

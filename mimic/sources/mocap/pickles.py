@@ -68,14 +68,11 @@ class _JoblibArray:
     state: dict[str, Any]
 
     def read(self, file: io.BytesIO) -> np.ndarray:
-        dtype = _dtype(self.state["dtype"])
         shape = tuple(int(n) for n in self.state["shape"])
         if self.state.get("numpy_array_alignment_bytes") is not None:
             file.read(file.read(1)[0])  # padding
-        size = int(np.prod(shape, dtype=object)) * dtype.itemsize
-        data = file.read(size)
-        order = "F" if self.state.get("order") == "F" else "C"
-        return np.frombuffer(data, dtype=dtype, count=size // dtype.itemsize).reshape(shape, order=order)
+        dtype = _dtype(self.state["dtype"])
+        return _frombuffer(file.read(math.prod(shape) * dtype.itemsize), dtype, shape, self.state.get("order"))
 
 
 _STORAGES = {
@@ -115,7 +112,7 @@ def _scalar(dtype: np.dtype, data: bytes) -> Any:
     return np.frombuffer(data, dtype=_dtype(dtype), count=1)[0]
 
 
-def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: str) -> np.ndarray:
+def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: Any) -> np.ndarray:
     return np.frombuffer(data, dtype=_dtype(dtype)).reshape(shape, order="F" if order == "F" else "C")
 
 

@@ -160,7 +160,7 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
     said = action.amounts
     start = [(name, seconds / action.speed) for name, seconds in STARTS.get(action.verb, [])]
     cycle = [(name, seconds / action.speed) for name, seconds in CYCLES[action.verb]]
-    if _in_guard(action, hands, reach):
+    if all(np.allclose(hands[side], _own("guard", side, reach)) for side in action.sides):
         start = []
     first = sum(seconds for _, seconds in start)
     each = sum(seconds for _, seconds in cycle)
@@ -182,10 +182,6 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
 
 
 Rows = list[tuple[str, float]]
-
-
-def _in_guard(action: Action, hands: dict[str, FloatArray], reach: Reach) -> bool:
-    return all(np.allclose(hands[side], _own("guard", side, reach)) for side in action.sides)
 
 
 def _every(period: float, start: Rows, cycle: Rows, times: int) -> Rows:
