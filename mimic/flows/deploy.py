@@ -39,6 +39,7 @@ HEADING = {
     "rl_sar": (
         "Its history begins with zeros: fill it with the first frame.",
         "It sends q_des as it is: clip it to q_min and q_max.",
+        "Its fsm_ROBOT.hpp names the folder that it loads (config_name), and base.yaml the robot's own gains.",
         "Add these terms to RL::ComputeObservation; it skips unknown ones, and the network then refuses its input:",
     ),
     "unitree_rl_lab": ("Add these terms with REGISTER_OBSERVATION; it does not start before:",),

@@ -13,7 +13,7 @@ import numpy as np
 
 from mimic.errors import AssetError, ConfigError
 from mimic.flows.play import robot_of
-from mimic.flows.reporter import Reporter, reporting
+from mimic.flows.reporter import Progress, Reporter, reporting
 from mimic.flows.run_folder import LOG, SCRIPT
 from mimic.io import store
 from mimic.records import JOINTS, SIDES, FloatArray, RunLog
@@ -227,17 +227,16 @@ def _export_dataset(folders: list[Path], out: Path, *, video: bool, reporter: Re
     with reporter.progress("dataset") as progress:
         write_dataset(
             out,
-            [_episode(log, folder, fps, video=video) for log, folder in zip(logs, folders, strict=True)],
+            [_episode(*one, fps, progress if video else None) for one in zip(logs, folders, strict=True)],
             names={"observation.state": STATE, "observation.target": COMMAND, "action": ACTION},
             fps=fps,
             robot=robot,
             picture=PICTURE if video else None,
-            progress=progress,
         )
 
 
-def _episode(log: RunLog, folder: Path, fps: int, *, video: bool) -> Episode:
-    """Return a run at equal time steps; a row that came late is that of the nearest tick."""
+def _episode(log: RunLog, folder: Path, fps: int, film_progress: Progress | None) -> Episode:
+    """Return a run at equal time steps, with a film if its progress is told; a late row is that of the nearest tick."""
     from mimic.io.lerobot import Episode
 
     ticks = _even_ticks(log, fps)
@@ -251,7 +250,7 @@ def _episode(log: RunLog, folder: Path, fps: int, *, video: bool) -> Episode:
         if not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
             raise AssetError(f"{folder / LOG} lacks {name} in tick {row}; a dataset has no gaps")
-    film = (lambda path: _film(path, log, ticks, fps)) if video else None
+    film = (lambda path: _film(path, log, ticks, fps, film_progress)) if film_progress else None
     return Episode(task=_task(folder), columns=columns, film=film)
 
 
@@ -261,7 +260,7 @@ def _nearest(t: FloatArray, times: FloatArray) -> np.ndarray:
 
 
 def _film(
-    path: Path, log: RunLog, ticks: np.ndarray, fps: int
+    path: Path, log: RunLog, ticks: np.ndarray, fps: int, progress: Progress
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Write a film with a picture for each tick; return minimum, maximum, mean and deviation of its colours (3,)."""
     from mimic.view.film.footage import encode_h264
@@ -277,6 +276,7 @@ def _film(
                 picture = film.picture(int(tick))
                 flat = picture.reshape(-1, 3) / 255.0
                 seen.append(np.stack([flat.min(0), flat.max(0), flat.mean(0), (flat**2).mean(0)]))
+                progress(len(seen), len(ticks))
                 yield picture
 
     encode_h264(pictures(), path, fps=Fraction(fps))

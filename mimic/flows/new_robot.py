@@ -30,6 +30,9 @@ SAME = 1e-4
 """A site this near to the centre of a toe marks it [m]."""
 DERIVED = "derived from the MJCF"
 GUESSED = "GUESSED: the Go2's{}; measure it"
+UNLIMITED = "GUESSED: the MJCF has no limit; measure it"
+RANGES = {"abad.range": (0, 0), "hip.range_front": (0, 1), "hip.range_rear": (2, 1), "knee.range": (0, 2)}
+"""Leg and joint that each range of the description is of."""
 POSES = {"lie": (1.25, -2.5, 1.25, -2.5), "four": (0.8, -1.6, 0.8, -1.6), "upright": (0.9, -1.6, 1.8, -1.2)}
 """Hip and knee of the front legs, then of the hind legs [rad]; the upright hind hip is then solved for."""
 SCALED = {
@@ -77,16 +80,19 @@ def new_robot(mjcf: Path, out: Path) -> tuple[RobotDescription, int]:
     store.check_writable(out.parent)
     try:
         spec: Any = mujoco.MjSpec.from_file(str(mjcf))
+        torque = _torques(spec)
+        leave_out(spec, mjcf)
+        name_shapes(spec)
+        model = spec.compile()
     except (ValueError, OSError) as reason:
         raise AssetError(f"{mjcf} is not an MJCF that MuJoCo reads: {' '.join(str(reason).split())}") from None
-    torque = _torques(spec)
-    leave_out(spec, mjcf)
-    name_shapes(spec)
-    model = spec.compile()
-    model.jnt_range[model.jnt_limited == 0] = -np.pi, np.pi
     legs = _legs(model, mjcf)
+    unlimited = {name for name, at in RANGES.items() if not model.jnt_limited[legs.joints[at]]}
+    model.jnt_range[model.jnt_limited == 0] = -np.pi, np.pi
+    if "knee.range" in unlimited:
+        model.jnt_range[legs.joints[:, 2]] = -np.pi, 0.0  # it bends backward
     own = _derived(model, legs, torque, mjcf)
-    text, guessed = _written(own, out.name)
+    text, guessed = _written(own, out.name, unlimited)
     out.mkdir()
     try:
         text_of_model = read_text(mjcf)
@@ -116,6 +122,9 @@ def _torques(spec: Any) -> dict[str, float]:
 
 def _legs(model: mujoco.MjModel, mjcf: Path) -> _Legs:
     links, joints = _chains(model, mjcf)
+    base = int(model.body_parentid[links[0, 0]])
+    if not base:
+        raise AssetError(f"{mjcf} has its legs on the world itself; expected them on a body that is free to move")
     known = []
     for row, on in zip(links, joints, strict=True):
         known.append([model.body(b).name for b in row] + [model.joint(j).name for j in on])
@@ -123,7 +132,7 @@ def _legs(model: mujoco.MjModel, mjcf: Path) -> _Legs:
         patterns = [name.replace(names[0], "{leg}") for name in known[0]]
         expected = [pattern.replace("{leg}", leg) for leg in names for pattern in patterns]
         if expected == [name for leg in known for name in leg]:
-            return _Legs(joints=joints, links=links, base=int(model.body_parentid[links[0, 0]]), names=names)
+            return _Legs(joints=joints, links=links, base=base, names=names)
     raise AssetError(
         f"{mjcf} calls its joints {', '.join(known[0][3:])} …; expected names that differ by FL, FR, RL, RR or such"
     )
@@ -179,12 +188,9 @@ def _derived(model: mujoco.MjModel, legs: _Legs, torque: Mapping[str, float], mj
         **{f"model.shapes.{role}": names for role, names in shapes.items()},
         "body.box": 2 * _extent(model, data, legs.base, shapes["trunk"]),
         "abad.origin": data.xpos[front[0]] - data.xpos[legs.base],
-        "abad.range": limits[0, 0],
         "hip.origin": [0.0, data.xpos[front[1]][1] - data.xpos[front[0]][1], 0.0],
         "hip.length": data.xpos[front[1]][2] - data.xpos[front[2]][2],
-        "hip.range_front": limits[0, 1],
-        "hip.range_rear": limits[2, 1],
-        "knee.range": limits[0, 2],
+        **{name: limits[at] for name, at in RANGES.items()},
         "toe.radius": radius,
         "toe.position": [position[0], 0.0, position[2]],
     }
@@ -239,15 +245,18 @@ def _toe_of(model: mujoco.MjModel, legs: _Legs, data: mujoco.MjData, leg: int, m
 
 
 def _shapes(model: mujoco.MjModel, legs: _Legs, data: mujoco.MjData, mjcf: Path) -> tuple[dict[str, list[str]], int]:
-    """Return the collision shapes by role, those of the front left leg as patterns, and the ball of its toe."""
+    """Return the collision shapes by role, those that every leg has as patterns, and the ball of the front left toe."""
     toe = _toe_of(model, legs, data, 0, mjcf)
+    names = {model.geom(geom).name for geom in range(model.ngeom)}
     found: dict[str, list[str]] = {"trunk": [], "abad": [], "thigh": [], "shank": [], "toe": []}
     for geom, at in _collision(model, legs):
         if at is None:
             found["trunk"].append(model.geom(geom).name)
         elif at[0] == 0:
             role = "toe" if geom == toe else ("abad", "thigh", "shank")[at[1]]
-            found[role].append(model.geom(geom).name.replace(legs.names[0], "{leg}"))
+            pattern = model.geom(geom).name.replace(legs.names[0], "{leg}")
+            if all(pattern.replace("{leg}", leg) in names for leg in legs.names):
+                found[role].append(pattern)
     if not found["trunk"]:
         raise AssetError(f"{mjcf} has no shape of the trunk that collides; add a box to {model.body(legs.base).name}")
     return found, toe
@@ -319,8 +328,8 @@ def _pose(
     return q.reshape(-1), radius - float(points[:, 2].min())
 
 
-def _written(own: Mapping[str, Any], name: str) -> tuple[str, int]:
-    """Return robot.toml, and how many of its numbers are guessed."""
+def _written(own: Mapping[str, Any], name: str, unlimited: set[str]) -> tuple[str, int]:
+    """Return robot.toml, with ranges that the MJCF does not limit marked, and how many of its numbers are guessed."""
     raw: dict[str, Any] = from_toml(read_text(shipped("assets") / "go2" / FILE))
     theirs = load_description("go2")
     toe = np.array(own["toe.position"])
@@ -348,14 +357,12 @@ def _written(own: Mapping[str, Any], name: str) -> tuple[str, int]:
                     continue
                 full = f"{table}.{key}"
                 kind, by = factor.get(full, ("", 1.0))
-                guessed += full not in own
+                guessed += full not in own or full in unlimited
                 mark = DERIVED if full in own else GUESSED.format(f", scaled with {kind}" if kind else "")
-                lines.append(f"{key} = {_toml(own.get(full, _times(value, by)))}  # {mark}")
+                mark = UNLIMITED if full in unlimited else mark
+                known = own.get(full, value if by == 1.0 else np.multiply(value, by))
+                lines.append(f"{key} = {_toml(known)}  # {mark}")
     return "\n".join(lines) + "\n", guessed
-
-
-def _times(value: Any, by: float) -> Any:
-    return value if by == 1.0 else np.multiply(value, by)
 
 
 def _toml(value: Any) -> str:

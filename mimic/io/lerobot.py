@@ -54,7 +54,6 @@ def write_dataset(
     fps: int,
     robot: str,
     picture: tuple[int, int] | None,
-    progress: Callable[[int, int | None], None] | None = None,
 ) -> None:
     """Write a dataset, complete or not at all.
 
@@ -65,7 +64,6 @@ def write_dataset(
         fps: Rows per second.
         robot: Type of the robot.
         picture: Height and width of the films [px]; None without.
-        progress: Called after each episode with the episodes done and their number.
     """
     import pyarrow as pa
 
@@ -110,8 +108,6 @@ def write_dataset(
             rows.append(row)
             stats.append(own)
             start += count
-            if progress is not None:
-                progress(number + 1, len(episodes))
         _save(part / "meta/episodes/chunk-000/file-000.parquet", pa.Table.from_pylist(rows))
         _save_tasks(part / "meta/tasks.parquet", tasks)
         together = {}

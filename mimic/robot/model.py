@@ -185,7 +185,10 @@ def leave_out(spec: Any, path: Path) -> None:
         "keyframes": spec.keys,
         "lights and cameras": [part for part in (*spec.lights, *spec.cameras) if part.targetbody],
         "shapes from meshes": meshes,
+        "pictures": [texture for texture in spec.textures if texture.file],
     }
+    for material in spec.materials if parts["pictures"] else []:
+        material.textures = [""] * len(material.textures)
     _tell(path, ", ".join(f"{len(found)} {name}" for name, found in parts.items() if found))
     for part in [part for found in (*parts.values(), spec.meshes) for part in list(found)]:
         spec.delete(part)

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import pickle
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import mujoco
@@ -20,6 +21,7 @@ from mimic.errors import AssetError, ConfigError, MissingExtra
 from mimic.flows.export import export, export_batch
 from mimic.flows.motions.motion import motion_from_text
 from mimic.flows.play import play
+from mimic.flows.reporter import SilentReporter
 from mimic.flows.run_folder import save_logs, save_motion
 from mimic.io import store
 from mimic.io.assets import shipped
@@ -90,7 +92,11 @@ def test_runs_of_a_batch_are_episodes_of_one_dataset(batch, log):
 def test_each_row_of_a_dataset_has_its_frame(run, log, tmp_path, monkeypatch):
     av = pytest.importorskip("av")
     monkeypatch.setattr("mimic.flows.export.PICTURE", (48, 64))
-    export(run, tmp_path / "ds")
+    seen = []
+    reporter = SilentReporter()
+    reporter.progress = lambda what: nullcontext(lambda done, total: seen.append((done, total)))
+    export(run, tmp_path / "ds", reporter=reporter)
+    assert seen == [(row + 1, len(log.t)) for row in range(len(log.t))]
     with av.open(str(tmp_path / "ds/videos/observation.images.side/chunk-000/file-000.mp4")) as film:
         frames = list(film.decode(video=0))
     np.testing.assert_allclose([float(frame.time) for frame in frames], np.arange(len(log.t)) / 50, atol=1e-4)

@@ -115,15 +115,35 @@ def test_a_model_of_another_kind_is_refused_and_nothing_is_left(change, said, tm
     assert list(tmp_path.iterdir()) == [file]
 
 
+PAINT = '<asset><texture name="paint" type="2d" file="paint.png"/><material name="paint" texture="paint"/></asset>'
+
+
+def test_a_picture_that_is_not_there_and_a_shape_that_one_leg_alone_has_do_no_harm(tmp_path):
+    spec = plain_go2()
+    spec.body("FL_hip").add_geom(size=[0.01, 0, 0])
+    file = saved(spec, tmp_path)
+    text = file.read_text().replace("_knee", "_calf").replace("<worldbody>", f"{PAINT}<worldbody>", 1)
+    file.write_text(text)
+    found, _ = new_robot(file, tmp_path / "robot")
+    assert found.names.patterns["thigh"] == ("{leg}_thigh",)
+
+
+def test_a_model_whose_inertia_no_body_can_have_is_refused_in_a_line(tmp_path):
+    file = saved(plain_go2(), tmp_path)
+    file.write_text(re.sub('diaginertia="[^"]*"', 'diaginertia="1 1 9"', file.read_text(), count=1))
+    with pytest.raises(AssetError, match="inertia must satisfy"):
+        new_robot(file, tmp_path / "robot")
+
+
 def test_a_folder_that_is_there_is_kept(tmp_path):
     with pytest.raises(ConfigError, match="exists; name another folder"):
         new_robot(Path(shipped("assets") / "go2" / "go2.xml"), tmp_path)
 
 
-def test_a_joint_without_limits_turns_all_the_way_and_what_a_model_includes_comes_along(tmp_path):
+def test_a_joint_without_limits_turns_as_far_as_it_can_and_what_a_model_includes_comes_along(tmp_path):
     spec = plain_go2()
     for joint in spec.joints:
-        if joint.name.endswith("_hip"):
+        if joint.name.endswith(("_hip", "_knee")):
             joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
     spec.compile()
     floor = tmp_path / "floor.xml"
@@ -132,5 +152,7 @@ def test_a_joint_without_limits_turns_all_the_way_and_what_a_model_includes_come
     mjcf.write_text(spec.to_xml().replace("<worldbody>", '<include file="floor.xml"/><worldbody>', 1))
     found, _ = new_robot(mjcf, tmp_path / "mine")
     assert found.q_max[1] == pytest.approx(np.pi)
+    assert (found.q_min[2], found.q_max[2]) == pytest.approx((-np.pi, 0.0))
+    assert (tmp_path / "mine/robot.toml").read_text().count("the MJCF has no limit") == 3
     floor.unlink()
     assert read_model(load_description(tmp_path / "mine")).geom("ground").name == "ground"

@@ -37,14 +37,10 @@ _BONES = np.array([[[0, 4], [1, 5]], [[4, 8], [5, 9]], [[2, 6], [3, 7]], [[6, 10
 _ACROSS = np.array([[[8, 9], [8, 9]], [[10, 11], [10, 11]]])
 
 FRONTS = (
-    (
-        ("nose", "left_ear", "right_ear"),
-        ("left_foot_index", "left_ankle"),
-        ("right_foot_index", "right_ankle"),
-    ),
-    (("left_knee", "left_hip", "left_ankle"), ("right_knee", "right_hip", "right_ankle")),
-    (("nose", "left_shoulder", "right_shoulder"),),
-    (("left_elbow", "left_shoulder", "left_wrist"), ("right_elbow", "right_shoulder", "right_wrist")),
+    ("nose left_ear right_ear", "left_foot_index left_ankle", "right_foot_index right_ankle"),
+    ("left_knee left_hip left_ankle", "right_knee right_hip right_ankle"),
+    ("nose left_shoulder right_shoulder",),
+    ("left_elbow left_shoulder left_wrist", "right_elbow right_shoulder right_wrist"),
 )
 """What tells the front, the surest first: a point that is before the middle of others; elbows are behind it."""
 MIRRORED = (
@@ -130,7 +126,7 @@ def handedness(body: Points) -> tuple[bool, tuple[str, ...]]:
     across = np.hypot(left[:, 0], left[:, 2])
     for limbs in FRONTS:
         votes = np.zeros(0)
-        for middle, *ends in limbs:
+        for middle, *ends in map(str.split, limbs):
             if not {middle, *ends} <= set(body.names):
                 continue
             line = body.of(middle)[:, 0] - body.of(*ends).mean(axis=1)

@@ -86,8 +86,8 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     named = _present(moving)
     t = named.t
     up, notes = _up(named, mocap.up, path)
-    origin = next((own for own in map(named.middle, ("hip", "shoulder")) if own is not None), None)
-    assert origin is not None  # shoulders were found
+    hips = named.middle("hip")
+    origin = named.of(*NEEDED[:2]).mean(axis=1) if hips is None else hips
     xyz = length * (named.xyz - origin[:, None]) @ _camera_axes(up).T
     valid = np.isfinite(xyz).all(axis=-1) & (named.score >= settings.min_visibility)
     shoulders, wrists = np.split(valid[:, [named.names.index(name) for name in NEEDED]], 2, axis=1)

@@ -68,14 +68,11 @@ class _JoblibArray:
     state: dict[str, Any]
 
     def read(self, file: io.BytesIO) -> np.ndarray:
-        dtype = _dtype(self.state["dtype"])
         shape = tuple(int(n) for n in self.state["shape"])
         if self.state.get("numpy_array_alignment_bytes") is not None:
             file.read(file.read(1)[0])  # padding
-        size = int(np.prod(shape, dtype=object)) * dtype.itemsize
-        data = file.read(size)
-        order = "F" if self.state.get("order") == "F" else "C"
-        return np.frombuffer(data, dtype=dtype, count=size // dtype.itemsize).reshape(shape, order=order)
+        dtype = _dtype(self.state["dtype"])
+        return _frombuffer(file.read(math.prod(shape) * dtype.itemsize), dtype, shape, self.state.get("order"))
 
 
 _STORAGES = {
@@ -88,16 +85,11 @@ _STORAGES = {
 
 def _tensor(storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any) -> np.ndarray:
     """Rebuild a tensor as an array."""
-    offset = int(offset)
-    size = tuple(map(int, size))
-    stride = tuple(map(int, stride))  # NumPy's would overflow
-    last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
-    if min((*size, *stride, offset, 0)) < 0 or (0 not in size and last >= len(storage)):
-        raise ValueError("a tensor is larger than its storage")
-    if np.prod(size, dtype=object) * storage.itemsize > LARGEST:
+    step = storage.itemsize
+    if math.prod(map(int, size)) * step > LARGEST:
         raise ValueError("a tensor is too large")
-    strides = tuple(step * storage.itemsize for step in stride)
-    return np.lib.stride_tricks.as_strided(storage[offset:], size, strides).copy()
+    strides = [int(n) * step for n in stride]
+    return np.ndarray(size, storage.dtype, storage, int(offset) * step, strides).copy()  # refuses what goes beyond it
 
 
 class _NdArray:
@@ -120,7 +112,7 @@ def _scalar(dtype: np.dtype, data: bytes) -> Any:
     return np.frombuffer(data, dtype=_dtype(dtype), count=1)[0]
 
 
-def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: str) -> np.ndarray:
+def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: Any) -> np.ndarray:
     return np.frombuffer(data, dtype=_dtype(dtype)).reshape(shape, order="F" if order == "F" else "C")
 
 

@@ -205,7 +205,7 @@ def _skeletons(scheme: Scheme, asked: Scheme, column: Mapping[str, int]) -> list
     around = {tuple(key.split(own, 1)) for key in column for own in arms if own in key}
     here = [_found(scheme, asked, column, *ends) for ends in sorted(around)] or [_found(scheme, asked, column)]
     whole = [one for one in here if set(NEEDED) <= one.keys()]
-    return sorted(whole or [max(here, key=len)], key=_first_column)
+    return sorted(whole or [max(here, key=len)], key=lambda one: min(map(min, one.values()), default=0))
 
 
 def _found(scheme: Scheme, asked: Scheme, column: Mapping[str, int], before: str = "", after: str = "") -> Columns:
@@ -217,10 +217,6 @@ def _found(scheme: Scheme, asked: Scheme, column: Mapping[str, int], before: str
         if None not in at:
             found[ours] = tuple(index for index in at if index is not None)
     return found
-
-
-def _first_column(found: Columns) -> int:
-    return min(map(min, found.values()), default=0)
 
 
 def _plain(name: str) -> str:

@@ -160,7 +160,7 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
     said = action.amounts
     start = [(name, seconds / action.speed) for name, seconds in STARTS.get(action.verb, [])]
     cycle = [(name, seconds / action.speed) for name, seconds in CYCLES[action.verb]]
-    if _in_guard(action, hands, reach):
+    if all(np.allclose(hands[side], _own("guard", side, reach)) for side in action.sides):
         start = []
     first = sum(seconds for _, seconds in start)
     each = sum(seconds for _, seconds in cycle)
@@ -182,10 +182,6 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
 
 
 Rows = list[tuple[str, float]]
-
-
-def _in_guard(action: Action, hands: dict[str, FloatArray], reach: Reach) -> bool:
-    return all(np.allclose(hands[side], _own("guard", side, reach)) for side in action.sides)
 
 
 def _every(period: float, start: Rows, cycle: Rows, times: int) -> Rows:
@@ -223,11 +219,6 @@ def _who(action: Action) -> str:
     return "both hands" if len(action.sides) == 2 else f"the {action.sides[0]} hand"
 
 
-def _between(moment: float, t: FloatArray, values: FloatArray) -> FloatArray:
-    """Return values (T, k) at a moment between times (T,)."""
-    return np.array([np.interp(moment, t, column) for column in values.T])
-
-
 def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -> tuple[list[KeyFrame], float]:
     """Return a key frame for each moment at which the base or a hand changes; updates ``hands`` to where they end."""
     base = list(timeline.base)
@@ -249,23 +240,24 @@ def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -
         forward = base[-1][1] if base and timeline.open_end else 0.0
         base.append((lacking, forward, 0.0))
     ends = np.cumsum([part[0] for part in base])
-    moments = np.unique(np.round(np.concatenate([ends, *(t[1:] for t, _ in tracks.values())]), 6))
+    moments = np.unique(np.round(np.concatenate([ends, turning]), 6))
     moments = moments[moments > 1e-6]
     gains = np.cumsum([0.0, *(part[2] for part in base)])
     frames = []
     before = 0.0
     what = " while ".join(timeline.understood)
+    columns = [(t, column) for t, values in tracks.values() for column in values.T]
     for moment in moments:
         part = min(int(np.searchsorted(ends, moment - 1e-6)), len(base) - 1)
-        left, right, trunk = (_between(moment, *tracks[name]) for name in (*SIDES, "trunk"))
+        *q, height, lean = (float(np.interp(moment, *column)) for column in columns)
         turned = float(np.interp(moment, [0.0, *ends], gains))
         frames.append(
             KeyFrame(
                 duration=float(moment - before),
                 velocity=(base[part][1], 0.0),
                 heading=heading + turned,
-                q=np.concatenate([left, right]),
-                trunk=(float(trunk[0]), float(trunk[1])),
+                q=np.array(q),
+                trunk=(height, lean),
                 what=what,
             )
         )

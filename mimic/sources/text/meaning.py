@@ -79,24 +79,14 @@ VERBS_SAID = (
     "step, walk, turn, stop, wait, wave, punch, jab, raise, lower, open, put, move, hold, point, stretch, crouch or bow"
 )
 AMOUNTS = {
-    "seconds",
-    "metres",
-    "mps",
-    "degrees",
-    "times",
-    "turns",
-    "count",
-    "bare",
-    "steps",
-    "every",
-    "pause",
-    "circle",
-}
+    "seconds", "metres", "mps", "degrees", "times", "turns", "count", "bare", "steps", "every", "pause", "circle",
+}  # fmt: skip
 NAMED = {"GUARD": "guard", "T_POSE": "open"}  # postures of both hands
 CLAUSES = {
     "step", "walk", "turn", "still", "gesture", "place", "trunk", "pose", "repeat", "switch", "more", "forbid",
     "without",
 }  # fmt: skip
+KINDS = {*VERBS, *TRUNK_WAYS, *NAMED, "TURN_AROUND", "COME_BACK", "HIGH_FIVE", "ONE_TWO", "REPEAT", "REPEAT_ALL"}
 
 
 @dataclass(kw_only=True, slots=True)
@@ -110,6 +100,7 @@ class Action:
     stays: bool = True  # whether the seconds are how long a posture is held, not how long the movement takes
     speed: float = 1.0
     every: float = 0.0  # from one gesture to the next [s]
+    rounds: int = 1  # how often it is done with the posture before it
 
     @property
     def moves_base(self) -> bool:
@@ -339,17 +330,7 @@ def _note_word(now: Clause, token: Token) -> None:
     elif token.type == "BACK_UP":
         now.kind = "WALK"
         now.ways = now.ways | {"back"}
-    elif token.type in VERBS or token.type in (
-        "TURN_AROUND",
-        "COME_BACK",
-        *TRUNK_WAYS,
-        *NAMED,
-        "HIGH_FIVE",
-        "ONE_TWO",
-        "SWITCH",
-        "REPEAT",
-        "REPEAT_ALL",
-    ):
+    elif token.type in KINDS:
         now.kind = now.kind if now.kind == "STEP" or (token.type in NAMED and now.kind == "LOWER") else token.type
     else:
         if token.type in ("HAND", "LEFT", "RIGHT"):
@@ -389,6 +370,7 @@ class _Reader:
             elif part.data == "around":
                 found = [*found, found[0]]
             self.groups += [group for groups in found for group in groups]
+        self._repeat_pairs()
         self.groups += self._switch(None)
         for start, clause in self.forbidden:
             for action in (action for group in self.groups[start:] for action in group):
@@ -396,6 +378,17 @@ class _Reader:
         if not self.groups:
             raise SourceError("the sentence says only what not to do; say what to do, too")
         return self.groups
+
+    def _repeat_pairs(self) -> None:
+        """Do postures as often as was said, with the one before: "open the arms, then close them, three times"."""
+        groups: Groups = []
+        for group in self.groups:
+            rounds = max(action.rounds for action in group)
+            pair = [*groups[-1:], group]
+            if rounds > 1 and [len(part) for part in pair] != [1, 1]:
+                raise SourceError(f"it is not clear what is done {rounds} times; say it in shorter parts")
+            groups += [group, *pair * (rounds - 1)]
+        self.groups = groups
 
     def _list(self, tree: Tree[Any]) -> Groups:
         """Return the groups of items joined by commas."""
@@ -433,8 +426,8 @@ class _Reader:
         if not groups and item.during:
             raise item.during[0].error("goes with nothing; say what goes on meanwhile")
         for more in (*early, *late):
-            if len(groups) > 1 and item.clear:
-                raise SourceError(f"'{item.during[0].text}' goes with several actions; say with which")
+            if len(groups) > 1 and (item.clear or item.rounds > 1):
+                raise item.during[0].error("goes with several actions; say with which")
             groups = _together(groups, more)
         return groups
 
@@ -723,7 +716,6 @@ class _Reader:
     def _turn(self, now: Clause, speed: float) -> Action:
         sides = [kind.lower() for kind in ("LEFT", "RIGHT") for _ in now.words.get(kind, [])]
         amounts = dict(now.amounts)
-        turns = [*self.turns]
         if "bare" in amounts:
             value = amounts.pop("bare")
             now.refuse(value < 10, f"has the number {value:g} without a unit; say degrees, steps or seconds")
@@ -737,11 +729,10 @@ class _Reader:
             now.refuse("times" in amounts and "degrees" in amounts, "says how far in two ways; say degrees")
             amounts.setdefault("degrees", 360.0 * amounts.pop("times", 1.0))
         degrees = amounts.get("degrees")
-        if now.ways == {"back"} and len(turns) == 1 and not sides and not degrees:
-            sides = [OPPOSITE[turns[0].sides[0]]]
-            amounts["degrees"] = turns[0].amounts.get("degrees", 90.0)
-            self.turns = []
-            return Action(verb="turn", sides=(sides[0],), amounts=amounts, speed=speed)
+        if now.ways == {"back"} and len(self.turns) == 1 and not sides and not degrees:
+            turn = self.turns.pop()
+            amounts["degrees"] = turn.amounts.get("degrees", 90.0)
+            return Action(verb="turn", sides=(OPPOSITE[turn.sides[0]],), amounts=amounts, speed=speed)
         now.refuse(now.ways - {"around"}, "is not something the robot does; it turns left or right")
         now.refuse(now.ways and degrees is None, "does not say how far; say turn around, or a number of degrees")
         unclear = len(sides) > 1 or not (sides or degrees in (HALF, 360.0) or now.kind == "SPIN")
@@ -798,10 +789,16 @@ class _Reader:
         if times > 1 and kind == "RAISE" and action.way == "up":
             action.verb = "cycle"
             action.way = ""
-        elif times == 1.0:
-            action.amounts.pop("times", None)
+        elif times == 1.0 or self._comes_back(action):
+            action.rounds = int(action.amounts.pop("times", 1.0))
         there = now.has("AGAIN") and all(self.at.get(side) == action.way for side in action.sides)
         now.refuse(there, f"finds the hand {action.way} already; say what it does before")
+
+    def _comes_back(self, action: Action) -> bool:
+        """Return whether a posture ends what the one before it began: "open the arms, then close them, three times"."""
+        before = self.before
+        same = before is not None and (before.verb, before.sides) == ("place", action.sides)
+        return same and before.way != action.way
 
     def _sides(self, now: Clause) -> tuple[str, ...]:
         """Return the hands that a clause names."""
@@ -845,9 +842,7 @@ class _Item:
         parts = tree.children[::-1] if self.leads else tree.children
         self.clauses = _clauses(parts[0])
         self.during = _clauses(parts[1]) if len(parts) > 1 else []
-        self.clear = (
-            len(parts) > 1 and getattr(parts[1], "data", "") == "doing"
-        )  # whether it must be clear with what it goes
+        self.clear = len(parts) > 1 and getattr(parts[1], "data", "") == "doing"  # with what it goes
         self.rounds = 1
 
     def add(self, more: _Item) -> None:
@@ -861,6 +856,8 @@ class _Item:
         else:
             last.add(bare)
         self.clauses += more.clauses[1:]
+        self.during += more.during
+        self.clear = self.clear or more.clear
 
 
 def _clauses(tree: Tree[Any] | Clause) -> list[Clause]:
@@ -962,7 +959,7 @@ def _with_pauses(now: Clause, action: Action, several: bool) -> Groups:
         return [[action]]
     times = int(action.amounts.get("times", 0))
     now.refuse(not times, "has a pause between nothing; say what comes before and behind it")
-    return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * times, now.pause)
+    return _apart([[_once(action)]] * times, now.pause)
 
 
 def _in_turn(now: Clause, action: Action) -> Groups:

@@ -9,9 +9,12 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import suppress
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from mimic.config.pose import LanguageSettings
@@ -31,6 +34,7 @@ CORRECTIONS = 3
 LONGEST_SENTENCE = 2000
 LARGEST_BODY = 4_000_000  # characters of a sentence; bytes of an endpoint's response
 REPORTED = 12  # at most this many errors go back at once
+TRIES = 100  # places at which an answer may hold its object
 
 _FAULTS = (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError)
 
@@ -151,18 +155,14 @@ def _read(answer: str, sentence: str, model: str) -> tuple[KeyFrames | None, lis
 def first_json(text: str) -> Any:
     """Return the first JSON object with ``frames`` in a text, ignoring the prose around it; None if there is none."""
     decoder = json.JSONDecoder()
-    at = text.find("{")
-    tries = 0
-    while at >= 0 and tries < 100:
-        tries += 1
-        try:
-            value, end = decoder.raw_decode(text, at)
-        except (ValueError, RecursionError):
-            at = text.find("{", at + 1)
-            continue
-        if isinstance(value, dict) and "frames" in value:
+    value: dict[str, Any] = {}
+    end = 0
+    for brace in islice(re.finditer("{", text), TRIES):
+        with suppress(ValueError, RecursionError):
+            if brace.start() >= end:
+                value, end = decoder.raw_decode(text, brace.start())
+        if "frames" in value:
             return value
-        at = text.find("{", end)
     return None
 
 

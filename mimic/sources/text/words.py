@@ -21,6 +21,7 @@ SHORTEST = 4  # letters of a word in which one may be wrong; two may have change
 _REWRITTEN = (  # phrases that mean others
     (r"\bback and forth\b", "forward and back"),
     (r"\bdo not\b", "don't"),
+    (r"\bforward, march\b", "forward march"),
     (r"\bshadow ?(ing )?box(ing)?\b", r"\1punch in turn"),
     (r"\bretreat(ing)?\b", r"walk\1 back"),
     (r"\b(half|quarter)( of)? an? ", r"\1 "),
@@ -108,7 +109,8 @@ def prepared(sentence: str) -> tuple[str, dict[str, str]]:
     text = re.sub(r":|\s[-–—]+\s|—|–", ",", text)
     read = {word: _meant(word) for word in re.findall(r"[a-z']+", text)}
     gerunds = _known()[0]
-    text = re.sub(r"[a-z']+", lambda found: _split(read[found[0]], gerunds), text)
+    split = {word: f"ing {gerunds[meant]}" if meant in gerunds else meant for word, meant in read.items()}
+    text = re.sub(r"[a-z']+", lambda found: split[found[0]], text)
     for phrase, meaning in _REWRITTEN:
         text = re.sub(phrase, meaning, text)
     text = re.sub(rf"(?<![\w'])(?:{grammar().get_terminal('FILLER').pattern.to_regexp()})", " ", text)
@@ -127,8 +129,3 @@ def _after_what_is_done(text: str, gerunds: dict[str, str]) -> str:
     perfect = rf"\b(after|before) (?:have |has |having )?({'|'.join(done)})\b"
     text = re.sub(perfect, lambda found: f"{found[1]} ing {done[found[2]]}", text)
     return re.sub(r"\b([a-z]+)\b(.*?),? (?:and )?after ing \1,", r"\1\2, then", text)
-
-
-def _split(word: str, gerunds: dict[str, str]) -> str:
-    """Return a verb on -ing as "ing" and the verb, other words as they are."""
-    return f"ing {gerunds[word]}" if word in gerunds else word

@@ -27,7 +27,8 @@ from mimic.errors import SourceError
 from mimic.io.reading import existing
 from mimic.records import BoolArray, FloatArray
 from mimic.sources.video.decoding import Frame, check_video, open_video, picture_size, square
-from mimic.sources.video.left_right import LiveSides, swap_sides
+from mimic.sources.video.left_right import LiveSides, other_side
+from mimic.sources.video.pose_models.blazepose import NOBODY, BlazePose, Everybody
 from mimic.sources.video.pose_models.pose_model import pose_model
 from mimic.sources.video.quiet import quiet_stderr
 from mimic.sources.video.screening import person_rows
@@ -237,7 +238,6 @@ def _run_camera(
         os.nice(LOW_PRIORITY)
     from mimic.sources.video.depth import LiveDepth
     from mimic.sources.video.people import People
-    from mimic.sources.video.pose_models.blazepose import BlazePose, Everybody
 
     latest: _Newest = Queue(1)
     depth = LiveDepth() if pose.depth else None
@@ -313,13 +313,10 @@ def _detect(
             looked = t - began
             people.look(looked, rgb)
         found = detect(rgb)
-        no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
-        landmarks, image, score = found or no_person
+        landmarks, image, score = found or NOBODY
         swapped = found is not None and sides.decide(t, landmarks)
         if swapped:
-            landmarks, image, score = (
-                swap_sides(a[None], np.ones(1, dtype=np.bool_))[0] for a in (landmarks, image, score)
-            )
+            landmarks, image, score = (column[other_side()] for column in (landmarks, image, score))
         clothes = clothes_colour(rgb, image)
         people.saw(image, clothes)
         person = bool(person_rows(score[None], pose.min_visibility)[0])

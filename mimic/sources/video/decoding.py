@@ -147,14 +147,14 @@ def _frames(container: InputContainer, stream: VideoStream, damaged: list[float]
                 damaged.append(float((packet.pts or 0) * packet.time_base))
                 continue
             for picture in pictures:
-                bgr = np.ascontiguousarray(np.rot90(picture.to_ndarray(format="bgr24"), round(picture.rotation / 90)))
+                rgb = np.ascontiguousarray(np.rot90(picture.to_ndarray(format="rgb24"), round(picture.rotation / 90)))
                 ticks = picture.dts if ordered or picture.pts is None else picture.pts
                 stamp_ms = stamp_ms if ticks is None else tick_ms * ticks
-                size = size or picture_size(bgr, stream.sample_aspect_ratio, picture.rotation)
-                stride = max(1, min(bgr.shape[:2]) // 96)
-                small = cv2.resize(bgr[::stride, ::stride], _THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.int16)
+                size = size or picture_size(rgb, stream.sample_aspect_ratio, picture.rotation)
+                stride = max(1, min(rgb.shape[:2]) // 96)
+                small = cv2.resize(rgb[::stride, ::stride], _THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.int16)
                 change = 0.0 if previous is None else float(np.abs(small - previous).mean())
-                yield Frame(stamp_ms, cv2.cvtColor(square(bgr, size), cv2.COLOR_BGR2RGB), change, size)
+                yield Frame(stamp_ms, square(rgb, size), change, size)
                 previous = small
 
 

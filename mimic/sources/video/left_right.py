@@ -117,8 +117,7 @@ class LiveSides:
         """Return whether left and right of a row (33, 3) [m] at time t [s] must be swapped."""
         self._rows = [*self._rows, (t, np.array(landmarks))][-3:]
         if len(self._rows) > 1:
-            times = np.array([row[0] for row in self._rows])
-            points = np.stack([row[1] for row in self._rows])
+            times, points = map(np.array, zip(*self._rows, strict=True))
             one_shot = np.zeros(len(times), dtype=np.int64)
             near, far = (_costs(times, points, lag, 1 / 30, one_shot) for lag in (1, len(times) - 1))
             self._total, _ = _viterbi_step(self._total, near[-1], far[-1], times[-1] - times[-2])

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from mimic.errors import SourceError
-from mimic.records import SIDES, BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.records import ELBOWS, HIPS, SHOULDERS, WRISTS, BoolArray, FloatArray, IntArray, PoseTrack, landmarks_of
 from mimic.sources.video.smoothing import interpolated
 
 LATEST = 2.0
@@ -46,7 +46,10 @@ TURN_DOUBT = 0.14
 STARTS = 4
 """Turns about the vertical from which the best one is sought."""
 
-_PARTS = ("shoulder", "elbow", "wrist", "hip")
+_STARTS = np.array([*np.repeat(SHOULDERS, 2), SHOULDERS[1], HIPS[1]])
+_ENDS = np.array([ELBOWS[0], WRISTS[0], ELBOWS[1], WRISTS[1], SHOULDERS[0], HIPS[0]])
+"""Landmarks at both ends of the first six lines of `_Lines`."""
+_FINGERS = landmarks_of("pinky", "index", "thumb")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,14 +127,10 @@ class _Lines:
 
 
 def _lines(track: PoseTrack) -> _Lines:
-    columns = {f"{side}_{part}": track.index(f"{side}_{part}") for side in SIDES for part in _PARTS}
-    p = {name: track.landmarks[:, column] for name, column in columns.items()}
-    ok = {name: track.valid[:, column] for name, column in columns.items()}
-    middle = [(p[f"left_{part}"] + p[f"right_{part}"]) / 2 for part in ("hip", "shoulder")]
-    pairs = [(f"{side}_shoulder", f"{side}_{part}") for side in SIDES for part in ("elbow", "wrist")]
-    pairs += [("right_shoulder", "left_shoulder"), ("right_hip", "left_hip")]
-    xyz = np.stack([*(p[b] - p[a] for a, b in pairs), middle[1] - middle[0]], axis=1)
-    valid = np.stack([*(ok[a] & ok[b] for a, b in pairs), ok["left_shoulder"] & ok["right_shoulder"]], axis=1)
+    p = track.landmarks
+    middle = p[:, SHOULDERS].mean(axis=1) - p[:, HIPS].mean(axis=1)
+    xyz = np.concatenate([p[:, _ENDS] - p[:, _STARTS], middle[:, None]], axis=1)
+    valid = np.column_stack([track.valid[:, _ENDS] & track.valid[:, _STARTS], track.valid[:, SHOULDERS].all(axis=1)])
     spread = np.full(valid.shape, DEPTH)
     spread[:, [1, 3]] = np.where(np.isfinite(track.depth_spread), track.depth_spread, DEPTH)
     return _Lines(xyz, spread, valid & np.isfinite(xyz).all(axis=-1))
@@ -233,23 +232,21 @@ def _with_lines(track: PoseTrack, lines: _Lines) -> PoseTrack:
     valid = np.array(track.valid)
     score = np.array(track.score)
     spread = np.array(track.depth_spread)
-    for i, side in enumerate(SIDES):
+    for i in range(2):
         half = 0.5 - i
         elbow = 2 * i
         wrist = 2 * i + 1
         shoulder = lines.xyz[:, 6] + half * lines.xyz[:, 4]
         seen = lines.valid[:, 4] & lines.valid[:, 6]
         places = {
-            "hip": (half * lines.xyz[:, 5], lines.valid[:, 5]),
-            "shoulder": (shoulder, seen),
-            "elbow": (shoulder + lines.xyz[:, elbow], seen & lines.valid[:, elbow]),
-            "wrist": (shoulder + lines.xyz[:, wrist], seen & lines.valid[:, wrist]),
+            HIPS[i]: (half * lines.xyz[:, 5], lines.valid[:, 5]),
+            SHOULDERS[i]: (shoulder, seen),
+            ELBOWS[i]: (shoulder + lines.xyz[:, elbow], seen & lines.valid[:, elbow]),
+            WRISTS[i]: (shoulder + lines.xyz[:, wrist], seen & lines.valid[:, wrist]),
         }
-        moved = places["wrist"][0] - landmarks[:, track.index(f"{side}_wrist")]
-        for part in ("pinky", "index", "thumb"):
-            landmarks[:, track.index(f"{side}_{part}")] += moved
-        for part, (xyz, known) in places.items():
-            column = track.index(f"{side}_{part}")
+        moved = places[WRISTS[i]][0] - landmarks[:, WRISTS[i]]
+        landmarks[:, _FINGERS[i::2]] += moved[:, None]
+        for column, (xyz, known) in places.items():
             landmarks[known, column] = xyz[known]
             score[known, column] = np.where(valid[known, column], score[known, column], 1.0)
             valid[known, column] = True

@@ -19,7 +19,7 @@ from mimic.records import BoolArray, FloatArray, PoseTrack
 from mimic.sources.video.decoding import Video, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
-from mimic.sources.video.pose_models.blazepose import BlazePose, Everybody
+from mimic.sources.video.pose_models.blazepose import NOBODY, BlazePose, Everybody
 from mimic.sources.video.pose_models.pose_model import BUNDLE, pose_model
 from mimic.sources.video.screening import MOST_JUMPS, SHORTEST, is_invented, jump_share, person_rows, posture
 from mimic.sources.video.shots import clothes_colour, describe, find_changes, is_black
@@ -129,7 +129,6 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     black = []
     clothes = []
     rows = []
-    no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
     model = pose_model()
     with open_video(path) as video, BlazePose(model) as detect, Everybody(model) as everybody:
         people = People(everybody, settings.person, path.name)
@@ -142,7 +141,7 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
             shown = people.show((frame.stamp_ms - stamps[0]) / 1e3, frame.rgb)
             if people.astray:
                 detect.forget()
-            landmarks, image, score = detect(shown) or no_person
+            landmarks, image, score = detect(shown) or NOBODY
             height, width = frame.rgb.shape[:2]
             rows.append((landmarks, people.in_picture(image, width, height), score))
             black.append(is_black(frame.rgb))

@@ -332,6 +332,11 @@ def test_what_a_verb_does_not_use_is_an_error_and_never_dropped(sentence, word, 
         ("and now walk towards me at top speed for 2 s", "walk forward fast for 2 s"),
         ("bend your knees twice", "squat twice"),
         ("raise your right hand and lower it again, twice", "right hand up, down, up, down"),
+        ("open your arms, then close them, twice", "open your arms, close them, open your arms, close them"),
+        ("arms forward, then down twice, then repeat everything", "arms forward, then down, four times"),
+        ("wave, three times, while walking forward", "wave three times while walking forward"),
+        ("step forward, twice, raising your left hand", "step forward twice, raising your left hand"),
+        ("forward, march!", "walk forward"),
     ],
 )
 def test_two_sentences_with_one_meaning_make_the_same_motion(sentence, same, plan):
@@ -361,6 +366,9 @@ def test_two_sentences_with_one_meaning_make_the_same_motion(sentence, same, pla
         "walk, and after 3 seconds wave",
         "walk twice as fast",
         "turn left, no, right",
+        "raise the left hand, then lower it three times while walking forward",
+        "walk forward while raising both hands, then lower them three times",
+        "raise the left hand and lower it, three times, while walking forward",
     ],
 )
 def test_an_amount_that_could_belong_to_two_actions_is_refused(sentence, plan):

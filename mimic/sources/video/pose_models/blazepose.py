@@ -17,6 +17,8 @@ from mimic.records import FloatArray
 from mimic.sources.video.quiet import quiet_stderr
 
 _Detection = tuple[FloatArray, FloatArray, FloatArray]
+NOBODY: _Detection = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
+"""What stands in a track for a frame without a person."""
 
 _STEP_MS = 10_000_000
 """Time between two frames as the detector is told [ms].
