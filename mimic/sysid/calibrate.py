@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
 from mimic.config.sysid import CalibrateSettings
@@ -125,6 +126,7 @@ def calibrate(
     hunt = Hunt(
         effects=_looked_for(settings, applicable(setting, (*plain, *given))),
         most=settings.most_effects if matches else 0,
+        arrivals="lost_commands" in (settings.effects or CATALOGUE),
         say=say,
     )
     outcome = search(null, hunt)
@@ -289,6 +291,11 @@ def _effects(outcome: Outcome, coarse: BoolArray) -> EffectSet:
             low = np.maximum(low - data.times.later, np.minimum(low, 0.0))
             one = replace(one, intervals={"time": np.stack([low, high + data.times.earlier], -1)})
         effects.append(one)
+    if lost := data.times.lost:
+        count = lost + len(data.times.at)
+        values = {"share": np.array([lost / count])}
+        intervals = {"share": np.array([binomtest(lost, count).proportion_ci()])}
+        effects.append(EffectValues(name="lost_commands", joints=(), values=values, intervals=intervals, role="fitted"))
     if coarse.any():
         joints = tuple(np.array(data.machine.joints)[coarse].tolist())
         values = {"angle": data.encoder_steps[coarse]}

@@ -289,6 +289,20 @@ def test_with_a_coarse_encoder_intervals_hold_the_truth(coarse: Calibration) -> 
     assert np.mean(np.abs(off)) < 1.6
 
 
+def test_targets_that_never_arrived_are_found(arm: MachineModel) -> None:
+    """One in 25, among them some that follow each other; their share is told, and the rest is noise."""
+    (t, q_des) = targets(12.0)
+    hidden = EffectValues(name="lost_commands", values={"share": np.array([0.04])})
+    log = simulate_log(arm, t, q_des, EffectSet((*BASELINE, hidden)), LogSettings(seed=2, timestep=0.001))
+    result = calibrate(log, arm, settings(effects=("lost_commands",)))
+    assert result.names == ("lost_commands",)
+    assert result.found[0].share > 0.9
+    effects = {e.name: e for e in result.effects}
+    low, high = effects["lost_commands"].intervals["share"][0]
+    assert low < 0.04 < high
+    assert all(r.explained for r in result.unexplained)
+
+
 @pytest.mark.slow
 def test_a_torque_that_wanders_slowly_is_called_nothing(arm: MachineModel) -> None:
     """Forgotten after 3 s, it looks like a constant torque over much of a log: a difference of friction."""

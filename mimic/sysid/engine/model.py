@@ -323,9 +323,9 @@ class Model:
         return hessian, descent
 
     def numbers(self) -> float:
-        """Return how many numbers the logs determine, beside what is plausible of them."""
+        """Return how many numbers the logs determine, beside what is plausible of them; a lost target is one."""
         now = self.differentiated()
-        return now._share(now.normal()[0])
+        return now._share(now.normal()[0]) + self.data.times.lost
 
     def _share(self, of: FloatArray) -> float:
         """Return the trace of a matrix (P, P) over the Hessian of the cost."""
@@ -338,7 +338,7 @@ class Model:
         """
         now = self.differentiated()
         felt = now._felt()
-        return max(now._share(np.cov(felt) * felt.shape[1]) / max(now.numbers(), 1.0), 1.0)
+        return max(now._share(np.cov(felt) * felt.shape[1]) / max(now._share(now.normal()[0]), 1.0), 1.0)
 
     def _felt(self) -> FloatArray:
         """Return minus the descent of each number in each block (P, B)."""
@@ -377,7 +377,8 @@ class Model:
         return np.diag(1.0 / width**2), -(x - np.array([f.centre for f in self.free])) / width**2
 
     def fitted(self, most: int = 6, enough: float = 1.0) -> Model:
-        """Return the model at the greatest likelihood that so many steps of Gauss and Newton find.
+        """Return the model at the greatest likelihood that so many steps of Gauss and Newton find, each at the size of
+        the unknown torque that predicts best.
 
         Args:
             most: Steps.
@@ -388,7 +389,7 @@ class Model:
         fresh = now.columns is not None
         while now.columns is not None or most > 0:
             if now.columns is None:
-                now = now.differentiated()
+                now = now.sized().differentiated()  # a torque as large as what lacked before hides what is left
                 fresh = True
                 most = most - 1
             better, damping = now._step(damping, 5 if fresh else 1)

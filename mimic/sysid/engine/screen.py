@@ -339,8 +339,8 @@ class Screen:
 
 
 def _groups(name: str, own: Mapping[int, tuple[float, Place]], screen: Screen) -> list[tuple[int, ...]]:
-    """Return the joints in which an effect is tried: all together, those at one place of their chains, and each alone;
-    whole chains where they share it.
+    """Return the joints in which an effect is tried: all together, those of one chain, and unless chains share it those
+    at one place of their chains, and each alone.
     """
     machine = screen.model.data.machine
     every = tuple(sorted(own))
@@ -351,9 +351,8 @@ def _groups(name: str, own: Mapping[int, tuple[float, Place]], screen: Screen) -
         return [every]
     shared = CATALOGUE[name].chain_shared
     for i in every:
-        alike = machine.chain if shared else machine.place
-        groups.add(tuple(j for j in every if alike[j] == alike[i]))
-        groups |= set() if shared else {(i,)}
+        for alike in (machine.chain,) if shared else (machine.chain, machine.place, range(len(machine.joints))):
+            groups.add(tuple(j for j in every if alike[j] == alike[i]))
     return sorted(groups)
 
 

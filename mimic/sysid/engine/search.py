@@ -9,18 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, cmp_to_key
+from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray
 from mimic.sysid.engine.data import Data
 from mimic.sysid.engine.effects import SURE
 from mimic.sysid.engine.laws import ROW
-from mimic.sysid.engine.likelihood import FOLLOWING, scales
+from mimic.sysid.engine.likelihood import FOLLOWING, misfit, scales
 from mimic.sysid.engine.model import Free, Model, Setting, to_fit
 from mimic.sysid.engine.screen import Found, Screen, wanted, with_effect
+from mimic.sysid.log.timing import SendingTimes
 
 FARTHEST = 3.0
 """Standard deviations of what is plausible beyond which a number of the baseline does not go: beyond, something else is
@@ -65,6 +67,9 @@ RIVAL = 0.5
 """Share of the gain of the best first effect from which another is followed to its end where a path does not explain a
 machine."""
 
+HEARD = 0.4
+"""Time after which it does not matter any more that a target was lost [s]: as far apart they are tried together."""
+
 SURELY = 15.0
 """Nats by which other sending times must explain logs better than those before."""
 
@@ -92,6 +97,8 @@ class Hunt:
     effects: Sequence[str]
     most: int = STAGES
     """Most effects that are named."""
+    arrivals: bool = True
+    """Whether targets that never arrived are looked for."""
     say: Callable[[str], None] = print
     tried: list[Attempt] = field(default_factory=list)
 
@@ -126,6 +133,11 @@ class Scored:
     def _said(self, other: Scored) -> FloatArray:
         return (self.density - other.density) / np.sqrt(self.repeats * other.repeats)
 
+    @property
+    def likely(self) -> float:
+        """Log density of all blocks and how plausible the numbers are [nats]."""
+        return float(self.density.sum()) - self.implausible
+
     @cached_property
     def covariance(self) -> FloatArray:
         """How uncertain the numbers are together (P, P)."""
@@ -134,11 +146,20 @@ class Scored:
     def sure(self, other: Scored) -> float:
         """Return how sure the numbers of what this model has more are not those of none [nats], numbers paid."""
         old = {(f.key, f.joint) for f in other.model.free}
+        new = [k for k, f in enumerate(self.model.free) if (f.key, f.joint) not in old]
+        return self._told(new) - PRICE * (self.numbers - other.numbers)
+
+    def needs(self, name: str, joints: Sequence[int]) -> float:
+        """Return the same of an effect in some joints."""
+        own = [k for k, f in enumerate(self.model.free) if f.key[0] == name and f.joint in joints]
+        return self._told(own) - PRICE * len(own)
+
+    def _told(self, of: Sequence[int]) -> float:
+        """Return how likely some numbers are at their values beside those of none [nats]. Source: Wald 1943."""
         far = _from_none(self.model)
-        new = [k for k in far if (self.model.free[k].key, self.model.free[k].joint) not in old]
+        new = [k for k in of if k in far]
         by = np.array([far[k] for k in new])
-        said = 0.5 * float(by @ np.linalg.solve(self.covariance[np.ix_(new, new)], by)) if new else np.inf
-        return said - PRICE * (self.numbers - other.numbers)
+        return 0.5 * float(by @ np.linalg.solve(self.covariance[np.ix_(new, new)], by)) if new else np.inf
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -225,8 +246,11 @@ def scored(model: Model) -> Scored:
 
 
 def ranked(models: Sequence[Scored]) -> list[Scored]:
-    """Return models, each before those that it is better than: what each gains over a third counts its own readings."""
-    return sorted(models, key=cmp_to_key(lambda one, other: other.over(one)))
+    """Return models, best first, numbers paid: of all, readings are counted as the likeliest says that errors repeat
+    themselves.
+    """
+    _, repeats = max(((one.likely, one.repeats) for one in models), default=(0.0, 1.0))
+    return sorted(models, key=lambda one: PRICE * one.numbers - one.likely / repeats)
 
 
 def trimmed(one: Scored) -> Scored:
@@ -325,13 +349,22 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
     return Outcome(
         null=null,
         best=best,
-        parts=tuple(_part(best, null, dropped, *one) for one in best.model.effects),
+        parts=(*(_part(best, null, dropped, *one) for one in best.model.effects), *_lost(best)),
         ties=tuple(ties.values()),
         before=before,
         after=after,
         noise=noise,
         explained=bool((spread(null.model, after) / noise).max() < EXPLAINED or beyond[1] < (1.0 - MOST) * beyond[0]),
     )
+
+
+def _lost(best: Scored) -> tuple[Part, ...]:
+    """Return that targets were lost, if they were."""
+    data = best.model.data
+    if not data.times.lost:
+        return ()
+    other = scored(_sent_at(best.model, next(times for times in data.sending if times.how == data.times.how)))
+    return (Part(name="lost_commands", joints=(-1,), evidence=best.over(other), without=other),)
 
 
 def _part(best: Scored, null: Scored, dropped: Sequence[Scored], name: str, joints: tuple[int, ...]) -> Part:
@@ -350,7 +383,8 @@ def _paths(null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
     wanted = plain.max() >= NOISY and hunt.most > 0
     firsts = [one for one in stage_of(null, hunt) if better(one, null)] if wanted else []
     if not firsts:
-        return null, []
+        arrived = _arrived(null, hunt) if wanted else null
+        return (null, []) if arrived is null else _forwards(arrived, null, hunt)
     best, others = _forwards(firsts[0], null, hunt)
     others = others or firsts[1:]
     if len(firsts) > 1 and not _near(best) and firsts[1].over(null) >= RIVAL * firsts[0].over(null):
@@ -397,14 +431,50 @@ def _forwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scor
             best = scored(sent.settled())
         hunt.say(f"so far: {describe(best.model)}")
         plain = spread(best.model) / noise_of(best.model)
-        if plain.max() < NOISY or len(best.model.effects) >= hunt.most:
+        if plain.max() < NOISY:
             break
-        found = [one for one in stage_of(best, hunt) if better(one, best)]
-        if not found:
+        stage = stage_of(best, hunt) if len(best.model.effects) < hunt.most else []
+        found = [one for one in stage if better(one, best)]
+        if found:
+            best, *others = found
+            continue
+        arrived = _arrived(best, hunt)
+        if arrived is best:
             break
-        best = found[0]
-        others = found[1:]
+        best = arrived
     return best, others
+
+
+def _arrived(best: Scored, hunt: Hunt) -> Scored:
+    """Return a model without the targets that never arrived, if it is better: each must pay as a number does."""
+    model = best.model
+    while hunt.arrivals:
+        said = _neglected(model)
+        lost = np.flatnonzero(said > best.repeats * PRICE)
+        if not len(lost):
+            break
+        model = _sent_at(model, model.data.times.without(lost))
+    if model is best.model:
+        return best
+    other = scored(model.settled())
+    return other if better(other, best) else best
+
+
+def _neglected(model: Model) -> FloatArray:
+    """Return by how much readings are likelier had each target not arrived (K,) [nats]; 0 beside one of which they say
+    more.
+    """
+    data = model.data
+    at = data.record.sent
+    said = np.zeros(len(at))
+    apart = int(np.ceil(HEARD / float(np.median(np.diff(at))))) if len(at) > 1 else 1
+    for first in range(1, min(apart + 1, len(at))):
+        tried = np.arange(first, len(at), apart)
+        other = _sent_at(model, data.times.without(tried))
+        by = (misfit(model.e, model.scale, data) - misfit(other.e, model.scale, data)).sum(axis=1)
+        after = np.searchsorted(at[tried], data.record.t, side="right")
+        said[tried] = np.bincount(after, by, len(tried) + 1)[1:]
+    return np.where(said == maximum_filter1d(said, 2 * apart + 1), said, 0.0)
 
 
 def _predicts(model: Model, null: Model) -> bool:
@@ -434,11 +504,16 @@ def _sent(model: Model) -> Model:
     """Return a model at the sending times that explain the logs best, of all that these allow."""
     best = model
     for times in model.data.sending if len(model.data.sending) > 1 else ():
-        setting = replace(model.setting, passes=model.setting.passes.of(model.data.sent_at(times)))
-        other = replace(model, setting=setting, columns=None).evaluated().fitted(2)
+        other = _sent_at(model, times).fitted(2)
         if other.cost < best.cost - SURELY:
             best = other
     return best
+
+
+def _sent_at(model: Model, times: SendingTimes) -> Model:
+    """Return a model whose targets were sent at these times, not yet fitted."""
+    setting = replace(model.setting, passes=model.setting.passes.of(model.data.sent_at(times)))
+    return replace(model, setting=setting, columns=None).evaluated()
 
 
 def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
@@ -485,7 +560,8 @@ def backwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scor
     """Return the model without the effects, or joints of them, that do not pay, and the last models tried."""
     tried: list[Scored] = []
     while best.model.effects:
-        tried = [scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)]
+        parts = sorted(_parts(best.model), key=lambda part: best.needs(*part))[:LAST]
+        tried = [scored(without(best.model, null.model, *one).settled()) for one in parts]
         if not tried:
             break
         first = ranked(tried)[0]

@@ -55,6 +55,13 @@ class SendingTimes:
     """By how much all may have been sent earlier, together [s]: a delay that follows from them is as much longer."""
     later: float = 0.0
     """The same for later."""
+    lost: int = 0
+    """How many targets never arrived: these are left out."""
+
+    def without(self, lost: IntArray) -> SendingTimes:
+        """Return the times without some targets."""
+        kept = np.delete(np.arange(len(self.at)), lost)
+        return replace(self, rows=self.rows[kept], at=self.at[kept], lost=self.lost + len(lost))
 
 
 def first_rows(q_des: FloatArray) -> IntArray:
