@@ -375,7 +375,9 @@ def _carried(log: JointLog) -> JointLog:
     rows, within = (note.get("rows"), note.get("within")) if isinstance(note, dict) else (None, None)
     if not (isinstance(rows, int) and rows > 0 and isinstance(within, int | float) and within >= 0):
         raise CalibrationError(f'the note {HELD} of the log is {note!r}; expected {{"rows": 12, "within": 0.001}}')
-    carried = {name: np.array(values) for name, values in log.channels.items() if name in ("q", "dq", "tau")}
+    carried: dict[str, Any] = {
+        name: np.array(values) for name, values in log.channels.items() if name in ("q", "dq", "tau")
+    }
     number = np.arange(len(log.t))
     for j in range(len(log.joints)):
         q = log.q[:, j]
