@@ -143,8 +143,8 @@ def _effect(path: Path, row: Any) -> EffectValues:
     try:
         given = {key: _fitted(key, row[key], hint) for key, hint in FIELDS.items() if key in row}
         values = {key: _fitted(key, value, NUMBERS) for key, value in row.items() if key not in known}
-        return EffectValues(name=row["name"], values=values, intervals=row.get("interval", {}), **given)
-    except (ConfigError, TypeError, ValueError) as reason:
+        return EffectValues(name=row["name"], values=values, intervals=dict(row.get("interval", {})), **given)
+    except (ConfigError, TypeError, ValueError, OverflowError) as reason:
         raise ConfigError(f"{path}: effect {row['name']!r}: {reason}") from None
 
 

@@ -220,6 +220,8 @@ def play_source(
     file = existing(source) if isinstance(source, Path) else None
     if film is not None and film.suffix != ".mp4":
         raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
+    if film is not None:
+        store.check_file(film)
     if file is not None:
         check_not_overwritten(file, film)
     folder = new_run_folder(source, out)
@@ -306,7 +308,7 @@ def save_targets(
     check_not_overwritten(source, out)
     if out.suffix.lower() != ".parquet":
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet")
-    store.check_writable(out.parent)
+    store.check_file(out)
     motion = load_motion(source, settings, description=description, reporter=reporter)
     if motion.targets is None:
         raise SourceError(f"{source} holds commands without targets; to play them: mimic {source} --sim")
