@@ -99,7 +99,8 @@ def train(
     warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporting(reporter))
     if resume is not None and not resume.is_file():
         raise AssetError(f"there is no checkpoint {resume}")
-    if resume is None and (kept := sorted(out.glob("*.pt"))):
+    kept = sorted(out.glob("*.pt"))
+    if kept and resume is None:
         raise ConfigError(
             f"{out} holds a training ({kept[-1].name}); name another folder, or go on with it by --resume"
         )

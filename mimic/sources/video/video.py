@@ -187,9 +187,10 @@ def _check_person(track: PoseTrack, rows: BoolArray, name: str, settings: PoseSe
             f"{name} has {len(t)} frame{'s' * (len(t) > 1)} in {t[-1]:.2f} s, shorter than a sampling step; "
             f"use a video of at least {SHORTEST:g} s"
         )
-    if (apart := float(np.median(np.diff(t)))) > STEPS[1]:
+    apart = float(np.median(np.diff(t)))
+    if apart > STEPS[1]:
         raise SourceError(
-            f"{name} has a frame every {apart:g} s; at least every {STEPS[1]:g} s is required, 15 frames a second are good"
+            f"{name} has a frame every {apart:g} s; one every {STEPS[1]:g} s is required: film more frames a second"
         )
     if is_invented(track, rows):
         raise SourceError(

@@ -210,7 +210,7 @@ def noise(path: Path, frames: int, rate: float = 25.0) -> Path:
 
 
 def test_a_video_of_a_frame_a_second_is_refused(tmp_path):
-    with pytest.raises(SourceError, match=r"slow\.mp4 has a frame every 1 s; at least every 0\.5 s is required"):
+    with pytest.raises(SourceError, match=r"slow\.mp4 has a frame every 1 s; one every 0\.5 s is required"):
         track_video(noise(tmp_path / "slow.mp4", 3, 1.0))
 
 
