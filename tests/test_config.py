@@ -21,6 +21,7 @@ from mimic.errors import ConfigError, MimicError
         (lambda: RetargetSettings(rate=float("nan")), "rate is nan s"),
         (lambda: RetargetSettings(rate=np.float32(5.0)), "rate is 5 s"),
         (lambda: RetargetSettings(rate="0.1"), "rate is '0.1'; expected a number"),
+        (lambda: RunSettings(seed=1.5), "seed is 1.5; expected a whole number"),
         (lambda: MocapSettings(fps=None), "fps is None; expected a number"),
         (lambda: LearnSettings(learning_rate=float("nan")), "learning-rate is nan"),
         (lambda: LearnSettings(hidden=()), "hidden is []; expected the width of each layer"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field, fields
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 from mimic.errors import ConfigError
@@ -28,8 +28,10 @@ class Limited:
         for f in fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
             name = f.name.replace("_", "-")
+            if f.type == "int" and not isinstance(value, Integral):
+                raise ConfigError(f"{name} is {value!r}; expected a whole number")
             if not isinstance(value, Real):
-                if f.type in ("int", "float"):
+                if f.type == "float":
                     raise ConfigError(f"{name} is {value!r}; expected a number")
             elif "limits" in f.metadata:
                 check_range(name, float(value), *f.metadata["limits"])

@@ -110,13 +110,13 @@ class EffectSet:
         return len(self.effects)
 
 
-def read_effects(path: Path) -> EffectSet:
+def read_effects(path: str | Path) -> EffectSet:
     """Read an effects.toml.
 
     Raises:
         ConfigError: If it is no such file, or a value does not fit the catalogue.
     """
-    raw = read_toml(path)
+    raw = read_toml(Path(path))
     rows = raw.get("effect")
     if not isinstance(rows, list) or set(raw) != {"effect"}:
         raise ConfigError(f"{path} is not an effects file; it holds [[effect]] tables, each with a name")

@@ -258,6 +258,8 @@ BAD = [
     ("emulate --seed -1", nothing, "seed is -1"),
     ("lead --seed -1", nothing, "seed is -1"),
     ("demo --seed -1", nothing, "seed is -1"),
+    (f"wave{300 * 'e'}", nothing, "a sentence follows --text"),
+    (f"wave{300 * 'e'}.mp4 --sim", nothing, "there is no file wave"),
     ("dance", nothing, "there is no command and no file 'dance'; commands are demo, retarget"),
 ]
 

@@ -105,7 +105,7 @@ def test_a_file_that_is_no_set_of_effects_is_reported(tmp_path: Path, text, told
     path = tmp_path / "effects.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=told):
-        read_effects(path)
+        read_effects(str(path))
 
 
 def test_a_joint_that_the_robot_lacks_is_reported():
