@@ -116,11 +116,12 @@ def read_effects(path: str | Path) -> EffectSet:
     Raises:
         ConfigError: If it is no such file, or a value does not fit the catalogue.
     """
-    raw = read_toml(Path(path))
+    file = Path(path)
+    raw = read_toml(file)
     rows = raw.get("effect")
     if not isinstance(rows, list) or set(raw) != {"effect"}:
         raise ConfigError(f"{path} is not an effects file; it holds [[effect]] tables, each with a name")
-    return EffectSet(tuple(_effect(path, row) for row in rows))
+    return EffectSet(tuple(_effect(file, row) for row in rows))
 
 
 FIELDS = {"joints": tuple[str, ...], "role": Role, "source": str}
