@@ -122,6 +122,15 @@ def test_a_folder_without_a_run_is_named(tmp_path):
         mimic.load_run(tmp_path)
 
 
+def test_metrics_that_mimic_did_not_write_and_a_long_sentence_are_refused(waved, tmp_path):
+    waved.save(tmp_path / "run")
+    (tmp_path / "run" / "metrics.json").write_text("{}")
+    with pytest.raises(mimic.MimicError, match="has no events, interrupted"):
+        mimic.load_run(tmp_path / "run")
+    with pytest.raises(mimic.MimicError, match="to play a sentence"):
+        mimic.play(20 * "wave the left hand, then ")
+
+
 def test_one_group_of_settings_or_single_ones_do(clip):
     whole = mimic.InputSettings(retarget=mimic.RetargetSettings(mirror=True))
     one, other, third = (

@@ -2,11 +2,12 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from mimic.config.evaluation import EvaluateSettings
 from mimic.config.play import NOMINAL, Randomisation, RunSettings
-from mimic.config.pose import PoseSettings
+from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.config.training import TRAINING_RANDOMISATION, LearnSettings, MdpSettings
 from mimic.errors import ConfigError, MimicError
@@ -18,6 +19,13 @@ from mimic.errors import ConfigError, MimicError
         (lambda: RetargetSettings(rate=5.0), "rate is 5 s; it must be from 0.05 to 1 s"),
         (lambda: RetargetSettings(rate=0.01), "rate is 0.01 s"),
         (lambda: RetargetSettings(rate=float("nan")), "rate is nan s"),
+        (lambda: RetargetSettings(rate=np.float32(5.0)), "rate is 5 s"),
+        (lambda: RetargetSettings(rate="0.1"), "rate is '0.1'; expected a number"),
+        (lambda: RunSettings(seed=1.5), "seed is 1.5; expected a whole number"),
+        (lambda: MocapSettings(fps=None), "fps is None; expected a number"),
+        (lambda: LearnSettings(learning_rate=float("nan")), "learning-rate is nan"),
+        (lambda: LearnSettings(hidden=()), "hidden is []; expected the width of each layer"),
+        (lambda: LearnSettings(std_range=(1.0, 0.0)), "std-range is [1.0, 0.0]; expected two sizes above 0"),
         (lambda: RetargetSettings(scale=0.0), "scale is 0; it must be from 0.2 to 2"),
         (lambda: RunSettings(stand_up=0.1), "stand-up is 0.1 s"),
         (lambda: RunSettings(hold_last=-1.0), "hold-last is -1 s"),

@@ -15,14 +15,14 @@ HELP = Path(__file__).with_name("help.txt")
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the ``mimic`` command and return its exit status (see mimic.cli.terminal.exit_status)."""
-    for stream in (sys.stdout, sys.stderr):  # what a terminal cannot show becomes a question mark
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
-    words = sys.argv[1:] if arguments is None else arguments
-    if words in ([], ["--help"], ["-h"]):
-        print(HELP.read_text(encoding="utf-8"), end="")
-        return DONE
     try:
+        for stream in (sys.stdout, sys.stderr):  # what a terminal cannot show becomes a question mark
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="replace")
+        words = sys.argv[1:] if arguments is None else arguments
+        if words in ([], ["--help"], ["-h"]):
+            print(HELP.read_text(encoding="utf-8"), end="")
+            return DONE
         import shlex
 
         from mimic.cli.app import run

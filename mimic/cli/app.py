@@ -351,7 +351,7 @@ def _check_command(arguments: list[str]) -> None:
         return
     word = arguments[0]
     names = [*COMMANDS, *GROUPS]
-    if word in names or Path(word).exists() or Path(word).suffix or os.sep in word:
+    if word in names or os.path.exists(word) or Path(word).suffix or os.sep in word:
         return
     close = get_close_matches(word, names, n=1)
     hint = f"did you mean: mimic {close[0]}" if close else f"commands are {', '.join(names)}; a sentence follows --text"

@@ -68,11 +68,14 @@ def _compare(
 
     if len(logs) != 1:
         raise ConfigError(f"--compare compares two logs, and {len(logs)} are given beside it; give one")
+    if logs[0] == other:
+        raise ConfigError(f"--compare {other} is the log itself; give that of another unit")
+    first, second = (logs[0].stem, other.stem) if logs[0].stem != other.stem else (str(logs[0]), str(other))
     differences = compare(logs[0], other, model, settings, notes=notes, reporter=ConsoleReporter())
     rows = {
         f"{one.effect}.{one.parameter} {one.joint}".strip(): {
-            logs[0].stem: f"{number(one.first)} {one.unit}".strip(),
-            other.stem: f"{number(one.second)} {one.unit}".strip(),
+            first: f"{number(one.first)} {one.unit}".strip(),
+            second: f"{number(one.second)} {one.unit}".strip(),
             "standard errors": f"{one.z:+.1f}",
         }
         for one in differences

@@ -16,7 +16,7 @@ class EmulateSettings(Limited):
     """Start with the zeros set; otherwise they are lost, as after every power-up."""
     placement: float = within(0.05, 0.0, 0.4, "rad")
     """Largest distance of the joints from the lying pose at the start [rad]."""
-    seed: int = 0
+    seed: int = within(0, 0, 2**63)
     """Seed of the encoders' mounting, the placement, noise and losses."""
     position_range: float = within(12.566370614359172, 1.0, 100.0, "rad")
     """Position range of the motors [rad]: 4 pi, or 12.5 as in the maker's sample code."""

@@ -17,7 +17,7 @@ class EpisodeSettings(Limited):
     """How many."""
     seconds: float
     """Length of each [s]."""
-    seed: int = 1
+    seed: int = within(1, 0, 2**63)
     """Seed of the first episode; episode i uses seed + i."""
     workers: int = within(0, 0, 1024)
     """Processes; 0: one per core."""

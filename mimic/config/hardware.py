@@ -91,5 +91,5 @@ class ProbeSettings(Limited):
     """Velocity gain [N m s/rad]."""
     approach: float = within(3.0, 0.2, 60.0, "s")
     """Time to raise the gains, and again to move to the start of the motion [s]."""
-    seed: int = 0
+    seed: int = within(0, 0, 2**63)
     """Seed of the motion."""

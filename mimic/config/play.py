@@ -23,7 +23,7 @@ class RunSettings(Limited):
 
     policy: str | None = None
     """ONNX file; default: the shipped policy."""
-    seed: int = 0
+    seed: int = within(0, 0, 2**63)
     """Seed of the simulated start."""
     stand_up: float = within(2.0, 1.0, 10.0, "s")
     """Time from lying to the first target [s]; the policy stands up in about 1 s."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field, fields
+from numbers import Integral, Real
 from typing import Any
 
 from mimic.errors import ConfigError
@@ -26,8 +27,14 @@ class Limited:
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
-            if "limits" in f.metadata and isinstance(value, int | float):
-                check_range(f.name.replace("_", "-"), value, *f.metadata["limits"])
+            name = f.name.replace("_", "-")
+            if f.type == "int" and not isinstance(value, Integral):
+                raise ConfigError(f"{name} is {value!r}; expected a whole number")
+            if not isinstance(value, Real):
+                if f.type == "float":
+                    raise ConfigError(f"{name} is {value!r}; expected a number")
+            elif "limits" in f.metadata:
+                check_range(name, float(value), *f.metadata["limits"])
 
 
 def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:

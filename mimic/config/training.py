@@ -220,14 +220,14 @@ class LearnSettings(Limited):
     """Of worlds, commands, network and actions."""
     device: str = "auto"
     """cuda, cpu, or auto."""
-    steps: int = 12
+    steps: int = within(12, 1, 10_000)
     """Control steps of each world between two updates. With 24 a policy of the same time learnt to follow with 6.3 cm
     instead of 4.0."""
-    epochs: int = 4
+    epochs: int = within(4, 1, 1000)
     """Passes over what was seen, in each update."""
-    minibatches: int = 4
+    minibatches: int = within(4, 1, 10_000)
     """Parts of a pass, a step of the optimiser each."""
-    learning_rate: float = 1e-3
+    learning_rate: float = within(1e-3, 1e-9, 1.0)
     """At the beginning; it then adapts to desired_kl."""
     desired_kl: float = 0.02
     """Divergence between two updates that the learning rate aims at, at the beginning."""
@@ -254,6 +254,12 @@ class LearnSettings(Limited):
         Limited.__post_init__(self)
         if not self.iterations and not self.minutes:
             raise ConfigError("iterations and minutes are both 0; set one, or the training never ends")
+        if not self.hidden or min(self.hidden) < 1:
+            raise ConfigError(
+                f"hidden is {list(self.hidden)}; expected the width of each layer, such as [512, 256, 128]"
+            )
+        if not 0.0 < self.std_range[0] <= self.std_range[1]:
+            raise ConfigError(f"std-range is {list(self.std_range)}; expected two sizes above 0, the smaller one first")
 
     @property
     def updates(self) -> int:

@@ -110,17 +110,18 @@ class EffectSet:
         return len(self.effects)
 
 
-def read_effects(path: Path) -> EffectSet:
+def read_effects(path: str | Path) -> EffectSet:
     """Read an effects.toml.
 
     Raises:
         ConfigError: If it is no such file, or a value does not fit the catalogue.
     """
-    raw = read_toml(path)
+    file = Path(path)
+    raw = read_toml(file)
     rows = raw.get("effect")
     if not isinstance(rows, list) or set(raw) != {"effect"}:
         raise ConfigError(f"{path} is not an effects file; it holds [[effect]] tables, each with a name")
-    return EffectSet(tuple(_effect(path, row) for row in rows))
+    return EffectSet(tuple(_effect(file, row) for row in rows))
 
 
 FIELDS = {"joints": tuple[str, ...], "role": Role, "source": str}
@@ -143,8 +144,8 @@ def _effect(path: Path, row: Any) -> EffectValues:
     try:
         given = {key: _fitted(key, row[key], hint) for key, hint in FIELDS.items() if key in row}
         values = {key: _fitted(key, value, NUMBERS) for key, value in row.items() if key not in known}
-        return EffectValues(name=row["name"], values=values, intervals=row.get("interval", {}), **given)
-    except (ConfigError, TypeError, ValueError) as reason:
+        return EffectValues(name=row["name"], values=values, intervals=dict(row.get("interval", {})), **given)
+    except (ConfigError, TypeError, ValueError, OverflowError) as reason:
         raise ConfigError(f"{path}: effect {row['name']!r}: {reason}") from None
 
 

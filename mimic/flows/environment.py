@@ -81,8 +81,8 @@ class Env(gymnasium.Env[Observation, Observation]):
             AssetError, ContractError: If there is no such robot or policy, or they do not fit.
             ConfigError: If the episode is too short to follow a goal.
         """
-        if seconds < TIMING.stand_up + TIMING.blend + 1.0:
-            raise ConfigError(f"seconds is {seconds:g}; standing up takes 1.5 s: give at least 2.5")
+        if not TIMING.stand_up + TIMING.blend + 1.0 <= seconds < np.inf:
+            raise ConfigError(f"seconds is {seconds:g}; standing up takes 1.5 s: give at least 2.5, and an end")
         self.description = load_description(robot)
         self.contract = load_policy(policy, self.description).contract
         self.commands = commands
@@ -117,12 +117,18 @@ class Env(gymnasium.Env[Observation, Observation]):
         """Let the robot act for one control step of 20 ms.
 
         Raises:
-            PlantError: If the action is not finite.
+            PlantError: If the action has another shape than the space, or is not finite.
+            ResetNeeded: If no episode has begun.
         """
-        if not np.isfinite(action).all():
+        if not hasattr(self, "_asked"):
+            raise gymnasium.error.ResetNeeded("no episode has begun; call reset before step")
+        given = np.asarray(action, dtype=np.float64)
+        if given.shape != self.action_space.shape:
+            raise PlantError(f"the action has shape {given.shape}; expected {self.action_space.shape}")
+        if not np.isfinite(given).all():
             raise PlantError(f"the action holds numbers that are not finite: {action}")
         asked = self._asked
-        self._pilot.act(asked, self.contract, self._builder, np.asarray(action, dtype=np.float64))
+        self._pilot.act(asked, self.contract, self._builder, given)
         reward = self._reward(asked.command)
         terminated = self._run.mode > SafetyMode.RUN
         self._ask()

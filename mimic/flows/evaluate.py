@@ -52,7 +52,7 @@ def evaluate(
     path = find_policy("stand_track" if policy is None else policy, description.name)
     settings = settings or SETTINGS[load_policy(path, description).contract.task]()
     if out is not None:
-        store.check_writable(out.parent)
+        store.check_file(out)
     warn_of_stand_effects(settings.robot, reporter)
     plant_options(settings.robot)  # refused before there is a progress bar
     with reporter.progress("episodes") as progress:

@@ -128,13 +128,16 @@ def _legs(model: mujoco.MjModel, mjcf: Path) -> _Legs:
     known = []
     for row, on in zip(links, joints, strict=True):
         known.append([model.body(b).name for b in row] + [model.joint(j).name for j in on])
+    if not all(name for leg in known for name in leg):
+        raise AssetError(f"{mjcf} has legs whose joints or links have no names; name them, such as FL_hip, FR_hip")
     for names in LEG_NAMES:
         patterns = [name.replace(names[0], "{leg}") for name in known[0]]
         expected = [pattern.replace("{leg}", leg) for leg in names for pattern in patterns]
         if expected == [name for leg in known for name in leg]:
             return _Legs(joints=joints, links=links, base=base, names=names)
     raise AssetError(
-        f"{mjcf} calls its joints {', '.join(known[0][3:])} …; expected names that differ by FL, FR, RL, RR or such"
+        f"{mjcf} calls its joints {', '.join(known[0][3:])} …; expected names that differ by FL, FR, RL, RR or "
+        "such, for links, too, each leg in its place (x forward, y left)"
     )
 
 

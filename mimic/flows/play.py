@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import fields, replace
@@ -143,7 +144,7 @@ def play(
     if robot is not None:
         effects = replace(effects, robot_model=str(robot))
     description = load_robot(effects.robot_model) if plant is None else plant.description
-    if isinstance(commands, str | Path) and not Path(commands).exists():
+    if isinstance(commands, str | Path) and not os.path.exists(commands):
         raise SourceError(f"there is no file {commands}; to play a sentence: play(motion_from_text(sentence))")
     if isinstance(commands, (str, Path, Mapping, np.ndarray)):
         commands = load_motion(commands, description=description, reporter=reporter)
@@ -220,6 +221,8 @@ def play_source(
     file = existing(source) if isinstance(source, Path) else None
     if film is not None and film.suffix != ".mp4":
         raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
+    if film is not None:
+        store.check_file(film)
     if file is not None:
         check_not_overwritten(file, film)
     folder = new_run_folder(source, out)
@@ -256,6 +259,8 @@ def load_run(folder: str | Path) -> SavedRun:
     if not (folder / LOG).is_file():
         raise AssetError(f"there is no {LOG} in {folder}; expected the folder of a run")
     metrics = store.load_json(folder / METRICS)
+    if missing := {"events", "interrupted"} - set(metrics):
+        raise AssetError(f"{folder / METRICS} has no {', '.join(sorted(missing))}; it is not as mimic wrote it")
     log = store.load(folder / LOG, RunLog)
 
     def stored(name: str, kind: type[store.R]) -> store.R | None:
@@ -306,7 +311,7 @@ def save_targets(
     check_not_overwritten(source, out)
     if out.suffix.lower() != ".parquet":
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet")
-    store.check_writable(out.parent)
+    store.check_file(out)
     motion = load_motion(source, settings, description=description, reporter=reporter)
     if motion.targets is None:
         raise SourceError(f"{source} holds commands without targets; to play them: mimic {source} --sim")

@@ -99,4 +99,9 @@ def train(
     warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporting(reporter))
     if resume is not None and not resume.is_file():
         raise AssetError(f"there is no checkpoint {resume}")
+    kept = sorted(out.glob("*.pt"))
+    if kept and resume is None:
+        raise ConfigError(
+            f"{out} holds a training ({kept[-1].name}); name another folder, or go on with it by --resume"
+        )
     return learn_policy(out, mdp, learn, load_robot(robot), resume=resume, report=report)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -27,7 +28,7 @@ def existing(source: str | Path, what: str = "file {}") -> Path:
         SourceError: If nothing is there, it is an address on a network, or stands for a file of git LFS.
     """
     path = Path(source)
-    if path.exists():
+    if os.path.exists(path):  # Path.exists raises for a name that is too long
         refuse_pointer(path, SourceError)
         return path
     if address := re.match(r"(\w{2,}):/+(.*)", str(source)):

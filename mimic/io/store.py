@@ -49,6 +49,17 @@ def check_writable(folder: Path) -> None:
         ) from None
 
 
+def check_file(path: Path) -> None:
+    """Make sure that a file can be written, before work is spent on it.
+
+    Raises:
+        AssetError: If it cannot.
+    """
+    if path.is_dir():
+        raise AssetError(f"{path} is a folder; name a file in it")
+    check_writable(path.parent)
+
+
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
     """Yield a path to write to; it becomes ``path`` when the block ends well, and vanishes when it does not."""

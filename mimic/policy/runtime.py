@@ -98,7 +98,7 @@ def find_policy(policy: str | Path, robot: str) -> Path:
             return file
         raise AssetError(
             f"there is no shipped {policy} policy for {robot}; give your own ONNX file, or train one: "
-            f"mimic train OUT --recipe {path.stem} --robot-model {robot}"
+            f"mimic train OUT --recipe {path.stem} --robot-model {robot}, or its folder"
         )
     raise AssetError(f"there is no policy {policy}; give an ONNX file or a shipped policy: {', '.join(SHIPPED)}")
 

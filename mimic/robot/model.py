@@ -166,11 +166,11 @@ def _found(part: Any, kind: str, name: str, path: Any) -> Any:
 
 
 def name_shapes(spec: Any) -> None:
-    """Give each collision shape without a name that of its body and its place there."""
-    for body in spec.bodies:
+    """Give each collision shape without a name that of its body, or its number, and its place there."""
+    for number, body in enumerate(spec.bodies):
         for place, geom in enumerate(geom for geom in body.geoms if not is_visual(geom)):
             if not geom.name:
-                geom.name = f"{body.name}#{place}"
+                geom.name = f"{body.name or number}#{place}"
 
 
 def leave_out(spec: Any, path: Path) -> None:

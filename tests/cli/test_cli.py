@@ -185,6 +185,11 @@ def folder(here: Path) -> None:
     (here / "folder").mkdir()
 
 
+def folders_of_files(here: Path) -> None:
+    for name in ("folder.mp4", "folder.parquet", "folder.csv"):
+        (here / name).mkdir()
+
+
 BAD = [
     ("nowhere.mp4 --sim", nothing, "there is no file nowhere.mp4"),
     ("nowhere.parquet --sim", nothing, "there is no file nowhere.parquet"),
@@ -245,6 +250,16 @@ BAD = [
     ("fast.yaml --sim", fast_motion, "fast.yaml asks for what this robot cannot do: frame 1: velocity forward is 2"),
     ("view nowhere", nothing, "nowhere"),
     ("view folder", folder, "there is no scene.rrd in folder"),
+    ("targets.parquet --sim --video folder.mp4", folders_of_files, "folder.mp4 is a folder; name a file in it"),
+    ("retarget targets.parquet -o folder.parquet", folders_of_files, "folder.parquet is a folder"),
+    ("log simulate -o folder.csv", folders_of_files, "folder.csv is a folder"),
+    ("evaluate -o folder", folder, "folder is a folder"),
+    ("evaluate --seed -1", nothing, "seed is -1"),
+    ("emulate --seed -1", nothing, "seed is -1"),
+    ("lead --seed -1", nothing, "seed is -1"),
+    ("demo --seed -1", nothing, "seed is -1"),
+    (f"wave{300 * 'e'}", nothing, "a sentence follows --text"),
+    (f"wave{300 * 'e'}.mp4 --sim", nothing, "there is no file wave"),
     ("dance", nothing, "there is no command and no file 'dance'; commands are demo, retarget"),
 ]
 
@@ -253,6 +268,9 @@ BAD_TRAINING = [
     ("train new --set colour=red", "there is no setting 'colour'"),
     ("train new --set rewards.mood=1", "there is no setting 'rewards.mood'"),
     ("train new --set worlds=many", "expected a whole number"),
+    ("train new --set device=tpu", "device is 'tpu'; expected auto, cpu, cuda"),
+    ("train new --set learning_rate=nan", "learning-rate is nan"),
+    ("train new --set hidden=[]", "hidden is []; expected the width of each layer"),
     ("train new --set effects=nowhere.toml", "nowhere.toml cannot be read"),
     ("train new --resume nowhere.pt", "there is no checkpoint nowhere.pt"),
 ]

@@ -96,6 +96,8 @@ def test_an_effect_twice_is_refused():
         ("[[effect]]\nname = 'delay'\ntime = true", "time is True; expected a number"),
         ("[[effect]]\nname = 'coulomb'\njoints = 'FL_knee'\nlevel = 0.1", "joints is 'FL_knee'; expected a list"),
         ("[[effect]]\nname = 'delay'\nrole = 'frozen'", 'role is \'frozen\'; expected "off" or "fixed" or "fitted"'),
+        ("[[effect]]\nname = 'delay'\ntime = 0.01\ninterval = 3", "effect 'delay': 'int' object is not iterable"),
+        (f"[[effect]]\nname = 'delay'\ntime = {10**400}", "effect 'delay': int too large"),
         ("[[effect]]\nname = 'delay'\ntime = 3.0", "effects.toml: effect 'delay': delay.time is 3 s"),
     ],
 )
@@ -103,7 +105,7 @@ def test_a_file_that_is_no_set_of_effects_is_reported(tmp_path: Path, text, told
     path = tmp_path / "effects.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=told):
-        read_effects(path)
+        read_effects(str(path))
 
 
 def test_a_joint_that_the_robot_lacks_is_reported():

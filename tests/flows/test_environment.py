@@ -86,9 +86,20 @@ def test_several_robots_step_together():
     assert reward.shape == (2,)
 
 
-def test_too_short_an_episode_is_refused():
+@pytest.mark.parametrize("seconds", [1.0, float("nan"), float("inf")])
+def test_an_episode_that_is_too_short_or_has_no_end_is_refused(seconds):
     with pytest.raises(mimic.MimicError, match=r"give at least 2\.5"):
-        mimic.Env(seconds=1.0)
+        mimic.Env(seconds=seconds)
+
+
+def test_an_action_of_another_shape_and_one_before_the_episode_are_refused():
+    env = mimic.Env()
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset before step"):
+        env.step(np.zeros(12))
+    env.reset(seed=1)
+    for action in (np.zeros(11), np.zeros((1, 12)), 0.0):
+        with pytest.raises(mimic.MimicError, match=r"expected \(12,\)"):
+            env.step(action)
 
 
 def test_without_gymnasium_its_package_is_named(monkeypatch):

@@ -96,6 +96,13 @@ def too_stiff(spec):
         spec.joint(f"{leg}_hip").range = [-1.57, 1.57]
 
 
+def without_names(spec):
+    for link in [body for body in spec.bodies if body.name != "world"]:
+        link.name = ""
+    for shape in spec.geoms:
+        shape.name = ""
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -103,6 +110,7 @@ def too_stiff(spec):
         (lambda spec: spec.delete(spec.body("RR_knee")), "11 hinges in 4 chains; expected four legs of three joints"),
         (lambda spec: spec.delete(spec.geom("FL_toe")), "has no ball at the toe of FL"),
         (lambda spec: setattr(spec.joint("FL_knee"), "name", "elbow"), "expected names that differ by FL, FR, RL, RR"),
+        (without_names, "joints or links have no names; name them"),
         (lambda spec: setattr(spec.joint("FL_knee"), "axis", [0, 0, 1]), r"FL_knee' must turn about"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import ConfigError
-from mimic.flows.train import training_settings
+from mimic.flows.train import train, training_settings
 from mimic.io.assets import shipped
 from mimic.policy.runtime import load_policy
 from mimic.robot.description import load_description
@@ -101,3 +101,12 @@ def test_what_is_no_recipe_is_refused(name, text, message, tmp_path):
         (tmp_path / name).write_text(text)
     with pytest.raises(ConfigError, match=message):
         training_settings(str(tmp_path / name) if name.endswith(".toml") else name)
+
+
+@pytest.mark.train
+def test_a_training_that_is_there_is_not_overwritten(tmp_path):
+    pytest.importorskip("torch", reason="training needs the extra 'train'")
+    (tmp_path / "last.pt").write_text("kept")
+    with pytest.raises(ConfigError, match=r"holds a training \(last\.pt\); name another folder, or go on"):
+        train(tmp_path)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["kept"]

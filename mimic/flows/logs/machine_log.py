@@ -72,7 +72,7 @@ def predict_log(
     if len(set(effects)) < len(effects):
         raise ConfigError(f"--effects names a file twice: {', '.join(map(str, effects))}")
     if out is not None:
-        store.check_writable(out.parent)
+        store.check_file(out)
     with (reporting(reporter)).activity("passes") as show:
         show("reading the log", 0)
         sets = {NO_EFFECTS: EffectSet(), **{str(file): read_effects(file) for file in effects}}
@@ -150,7 +150,7 @@ def simulate_log(
     if out is not None:
         if out.suffix.lower() not in (".parquet", ".csv"):
             raise ConfigError(f"{out} is neither .parquet nor .csv; name a log that can be written")
-        store.check_writable(out.parent)
+        store.check_file(out)
     hidden = read_effects(effects) if effects else EffectSet()
     given = {"kp": motion.kp, "kd": motion.kd}
     for name, value in given.items():

@@ -348,7 +348,13 @@ def _of_record(record: CommandTrack | TargetTrack | WristTrack | PoseTrack, load
             f"these toes were made for the {record.robot}, and the robot is a {robot}; play what they were made from"
         )
     check_clock(record.t, "the motion", SourceError, apart=SPARSE)
-    if (away := float(np.nanmax(np.abs(record.p_BE), initial=0.0))) > FARTHEST:
+    asked = [record.p_BE.reshape(-1, 6), record.heading[:, None]]
+    if isinstance(record, CommandTrack):
+        asked.append(record.v)
+    unknown = np.flatnonzero(~np.isfinite(np.hstack(asked)).all(axis=1))
+    if len(unknown):
+        raise SourceError(f"row {unknown[0] + 1} of the motion holds a number that is not finite; fill such gaps")
+    if (away := float(np.max(np.abs(record.p_BE), initial=0.0))) > FARTHEST:
         raise SourceError(f"toes are {away:.3g} m from the base of the robot; give the positions in metres")
     return Motion(commands=record) if isinstance(record, CommandTrack) else _of_targets(record)
 

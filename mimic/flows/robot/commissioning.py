@@ -196,7 +196,7 @@ def probe_robot(
     bus = bus or DriveSettings()
     operator = operator or Operator()
     reporter = reporting(reporter)
-    store.check_writable(out.parent)
+    store.check_file(out)
     description = robot_on(bus_url)
     signals = Signals()
     if motion is None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.config.play import AS_DESCRIBED, EffectsSettings
+from mimic.config.ranges import check_range
 from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, reporting
 from mimic.frozen import frozen_arrays
@@ -59,6 +60,7 @@ def lead(
     from mimic.simulation.hand import Hand
     from mimic.simulation.plant import SimulatedPlant, plant_options
 
+    check_range("seed", seed, 0, 2**63)
     reporter = reporting(reporter)
     hand = hand or HandSettings()
     leading = leading or LeadingSettings()
@@ -66,7 +68,7 @@ def lead(
     description = load_robot(robot.robot_model)
     player = load_policy(policy, description)
     if film is not None:
-        store.check_writable(film.parent)
+        store.check_file(film)
     plant = SimulatedPlant(description, seed=seed, **OF_EPISODES, **plant_options(robot))
     pull = Hand(plant.model, hand)
     end = hand.end + hand.after

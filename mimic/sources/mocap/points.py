@@ -56,6 +56,6 @@ def clock(rows: int, rate: Any, settings: MocapSettings, path: Path) -> FloatArr
     except (ValueError, TypeError, IndexError):
         hz = 0.0
     if not 0.0 < hz < np.inf:
-        given = f"the frame rate {rate!r}" if rate is not None else "no times and no frame rate"
-        raise SourceError(f"{path.name} has {given}; give the frame rate as [mocap] fps in --config")
+        given = f"the frame rate {rate!r}" if rate is not None else "no times (t) and no frame rate (fps)"
+        raise SourceError(f"{path.name} has {given}; store one, or give the frame rate as [mocap] fps in --config")
     return np.arange(rows) / hz

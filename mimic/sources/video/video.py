@@ -14,6 +14,7 @@ import numpy as np
 
 from mimic.config.pose import PoseSettings
 from mimic.errors import SourceError
+from mimic.io.reading import STEPS
 from mimic.io.store import plain, sha256_of
 from mimic.records import BoolArray, FloatArray, PoseTrack
 from mimic.sources.video.decoding import Video, open_video, true_times
@@ -185,6 +186,11 @@ def _check_person(track: PoseTrack, rows: BoolArray, name: str, settings: PoseSe
         raise SourceError(
             f"{name} has {len(t)} frame{'s' * (len(t) > 1)} in {t[-1]:.2f} s, shorter than a sampling step; "
             f"use a video of at least {SHORTEST:g} s"
+        )
+    apart = float(np.median(np.diff(t)))
+    if apart > STEPS[1]:
+        raise SourceError(
+            f"{name} has a frame every {apart:g} s; one every {STEPS[1]:g} s is required: film more frames a second"
         )
     if is_invented(track, rows):
         raise SourceError(

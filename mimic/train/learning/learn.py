@@ -9,6 +9,7 @@ import math
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -96,7 +97,11 @@ class Schedule:
 
 def _go_on(runner: Any, env: StandTrackEnv, schedule: Schedule, checkpoint: Path, device: str) -> float:
     """Take over a checkpoint, and the worlds where they were kept; return how long its training has lasted [s]."""
-    infos = runner.load(str(checkpoint), map_location=device)
+    try:
+        infos = runner.load(str(checkpoint), map_location=device)
+    except (UnpicklingError, EOFError, RuntimeError, KeyError) as reason:
+        told = str(reason).partition("\n")[0]
+        raise ConfigError(f"{checkpoint} is no checkpoint of such a policy ({told}); expected last.pt of one") from None
     if not {"updates", "elapsed_s", "env"} <= set(infos or {}):
         raise ConfigError(f"{checkpoint} is of an older version; go on from its policy.onnx instead")
     runner.current_learning_iteration = infos["updates"]

@@ -43,8 +43,10 @@ def own_device(wanted: str) -> str:
         ConfigError: If it is not there.
     """
     device = wanted if wanted != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
+    if not device.startswith(("cpu", "cuda")):
+        raise ConfigError(f"device is {device!r}; expected auto, cpu, cuda or one GPU, such as cuda:1")
     if device.startswith("cuda") and not torch.cuda.is_available():
-        raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
+        raise ConfigError(f"device is {device}, but PyTorch sees no GPU; add --set device=cpu, or install a CUDA build")
     if processes() == 1 or not device.startswith("cuda"):
         return device
     local = int(os.environ["LOCAL_RANK"])

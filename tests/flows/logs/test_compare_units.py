@@ -53,6 +53,38 @@ def test_the_effect_that_differs_is_named_and_the_one_that_both_have_is_not(unit
     assert not (tmp_path / "calibration").exists()
 
 
+@pytest.mark.slow
+def test_units_whose_logs_have_the_same_name_have_a_column_each(unit, capsys, tmp_path):
+    for name, friction in (("one/log", 0.2), ("two/log", 0.3)):
+        (tmp_path / name).parent.mkdir()
+        unit(name, friction=friction, stiffness=2.0, seed=1)
+    capsys.readouterr()
+    assert (
+        main(
+            [
+                "calibrate",
+                "one/log.parquet",
+                "--compare",
+                "two/log.parquet",
+                "--model",
+                "robot.xml",
+                "--effects",
+                "spring",
+            ]
+        )
+        == 0
+    )
+    said = capsys.readouterr().out
+    assert "one/log.parquet" in said
+    assert "two/log.parquet" in said
+
+
+def test_a_log_is_not_compared_with_itself(unit, capsys):
+    unit("b", friction=0.2, stiffness=2.0, seed=1)
+    assert main(["calibrate", "b.parquet", "--compare", "b.parquet", "--model", "robot.xml"]) == 2
+    assert "--compare b.parquet is the log itself; give that of another unit" in capsys.readouterr().err
+
+
 def test_two_logs_beside_the_other_unit_are_refused(unit, capsys):
     unit("a", friction=0.2, stiffness=2.0, seed=1)
     status, said = compared(capsys, "a.parquet")

@@ -826,6 +826,8 @@ def test_stored_targets_in_another_unit_are_refused():
         (replace(targets, t=1e3 * targets.t), "milliseconds"),
         (replace(targets, t=targets.t / 60), "another unit"),
         (replace(targets, p_BE=1e3 * targets.p_BE), "in metres"),
+        (replace(targets, heading=np.append(np.nan, targets.heading[1:])), "row 1 of the motion holds a number"),
+        (replace(targets, p_BE=np.full_like(targets.p_BE, np.nan)), "row 1 of the motion holds a number"),
     ):
         for track in (wrong, command_track(wrong)):
             with pytest.raises(SourceError) as error:

@@ -198,7 +198,7 @@ BAD_NPZ = {
     "names for": {"names": ["left_wrist"]},
     "visibilities": {"visibility": np.ones(ROWS)},
     "a time for each row": {"t": np.zeros(3)},
-    "has no times": {"t": None},
+    "has no times (t) and no frame rate (fps); store one": {"t": None},
     "do not increase": {"t": np.r_[T[:5], T[:-5]]},
     "needs at least two": {"t": T * 1e-3},
     "shows both shoulders": {"visibility": np.zeros((ROWS, len(PERSON)))},

@@ -200,13 +200,18 @@ def test_a_video_without_a_person_is_refused(clip: Clip, tmp_path: Path) -> None
         track_video(path)
 
 
-def noise(path: Path, frames: int) -> Path:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
+def noise(path: Path, frames: int, rate: float = 25.0) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (64, 48))
     random = np.random.default_rng(0)
     for _ in range(frames):
         writer.write(random.integers(0, 255, (48, 64, 3), dtype=np.uint8))
     writer.release()
     return path
+
+
+def test_a_video_of_a_frame_a_second_is_refused(tmp_path):
+    with pytest.raises(SourceError, match=r"slow\.mp4 has a frame every 1 s; one every 0\.5 s is required"):
+        track_video(noise(tmp_path / "slow.mp4", 3, 1.0))
 
 
 def test_progress_counts_every_frame_before_the_verdict(tmp_path):

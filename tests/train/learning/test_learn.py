@@ -145,11 +145,23 @@ def test_a_training_that_is_no_longer_finite_stops_with_a_word(size, tmp_path):
     assert not (tmp_path / "policy.onnx").exists()
 
 
+def test_a_file_that_is_no_checkpoint_is_refused(tmp_path):
+    (tmp_path / "odd.pt").write_bytes(b"\xff\xd8")
+    with pytest.raises(ConfigError, match=r"odd\.pt is no checkpoint of such a policy"):
+        train(tmp_path / "new", MDP, dataclasses.replace(LEARN, iterations=2), resume=tmp_path / "odd.pt")
+
+
 def test_a_gpu_that_is_not_there_is_reported_before_anything_is_written(tmp_path):
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
-    with pytest.raises(ConfigError, match="PyTorch sees no GPU; use --device cpu"):
+    with pytest.raises(ConfigError, match="PyTorch sees no GPU; add --set device=cpu"):
         train(tmp_path / "new", MDP, dataclasses.replace(LEARN, device="cuda"))
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_device_of_another_kind_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="device is 'tpu'; expected auto, cpu, cuda"):
+        train(tmp_path / "new", MDP, dataclasses.replace(LEARN, device="tpu"))
     assert not (tmp_path / "new").exists()
 
 
