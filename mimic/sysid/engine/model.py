@@ -561,6 +561,8 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
     dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
     rotor = blank[ROW["armature", "inertia"]]
     inertia = np.diag(mass) + rotor
+    if not record.kp.any():  # no drive holds the other joints, which give way
+        inertia = 1.0 / np.diag(np.linalg.inv(mass + np.diag(rotor)))
     width = max(round(SMOOTH / float(np.median(dt))), 1)
     kernel = np.ones(width) / width
     calm = np.stack([np.convolve(c, kernel, mode="same") for c in smooth.T], -1)
