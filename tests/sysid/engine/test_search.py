@@ -1,18 +1,22 @@
 """Effects hidden in logs are found, and nothing where nothing is hidden."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.effect_set import EffectValues, read_effects, write_effects
+from mimic.dynamics.machine import read_machine
+from mimic.io.joint_log import JointLog
 from mimic.sysid.engine.data import data_of
 from mimic.sysid.engine.effects import dependences, effects_of, motion_of
 from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.model import STEP, setting_of
-from mimic.sysid.engine.search import Hunt, Outcome, baseline, describe, fitted_baseline, search
+from mimic.sysid.engine.search import Hunt, Outcome, baseline, describe, fitted_baseline, search, spread
 
 BASELINE = CalibrateSettings().baseline
 ONE_WAY = EffectValues(name="asymmetric_friction", joints=("a",), values={"level": np.array([0.02])})
@@ -111,3 +115,29 @@ def test_an_unknown_torque_says_that_it_depends_on_position(pair, log_of):
     motion = motion_of(model)
     assert dependences(model, motion)[0][0][0] == "position"
     assert motion.unknown[:, 0].std() > 3 * motion.unknown[:, 1].std()
+
+
+HANGING = """<mujoco><option timestep="0.0005" integrator="RK4"/><worldbody><body>
+<joint name="upper" axis="0 1 0" damping="0.01" armature="0.002"/><inertial pos="0 0 -0.2" mass="0.55"
+diaginertia="0.002 0.002 0.0005"/><body pos="0 0 -0.2"><joint name="lower" axis="0 1 0" damping="0.01"
+armature="0.002"/><inertial pos="0 0 -0.28" mass="0.6" diaginertia="0.008 0.008 0.0005"/></body></body></worldbody>
+<actuator><motor joint="upper"/><motor joint="lower"/></actuator></mujoco>"""
+
+
+def test_links_that_no_drive_holds_are_followed(tmp_path: Path) -> None:
+    """Each gives way to a torque on the other: with the gains of one that is held the start of a block is lost."""
+    path = tmp_path / "hanging.xml"
+    path.write_text(HANGING)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    t = np.arange(0.0, 8.0, 0.004)
+    force = 0.15 * np.stack([np.sin(4.0 * t), np.sin(5.5 * t + 1.0)], -1)
+    q = np.zeros_like(force)
+    for i, torque in enumerate(force):
+        q[i] = data.qpos
+        data.ctrl[:] = torque
+        mujoco.mj_step(model, data, 8)
+    q += 2e-4 * np.random.default_rng(0).standard_normal(q.shape)
+    log = JointLog(joints=("upper", "lower"), t=t, q=q, force=force)
+    start = baseline(setting_of(data_of([log], read_machine(path))), BASELINE).evaluated()
+    assert spread(start).max() < 0.05
