@@ -6,6 +6,8 @@ Source: Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 5 and 6.
 
 from __future__ import annotations
 
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
@@ -18,11 +20,23 @@ from mimic.records import BoolArray, FloatArray, IntArray
 FAST_MATH = {"contract", "reassoc", "arcp", "nsz"}
 """What compiled code may do to sums and products; it keeps what is not a number."""
 
+
+
+def drop_outdated(folder: Path) -> None:
+    """Delete what was compiled before a source in a folder changed; Numba looks at the file of each function alone."""
+    newest = max(source.stat().st_mtime for source in folder.glob("*.py"))
+    for compiled in folder.glob("__pycache__/*.nb?"):
+        with suppress(OSError):  # gone, or of somebody else
+            if compiled.stat().st_mtime < newest:
+                compiled.unlink()
+
+
+drop_outdated(Path(__file__).parent)
+
 inlined = njit(  # type: ignore[call-overload]
     cache=True, error_model="numpy", fastmath=FAST_MATH, forceinline=True, _nrt=False
 )
-"""Compiles parts of a pass. Nothing in them makes an array, so that none counts references, half of the time;
-what is compiled into another module is not made anew when it changes here: delete ``__pycache__`` then."""
+"""Compiles parts of a pass. Nothing in them makes an array, so that none counts references, half of the time."""
 
 
 class Tree(NamedTuple):

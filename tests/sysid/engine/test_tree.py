@@ -1,12 +1,13 @@
 """Dynamics of trees against MuJoCo's."""
 
+import os
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from mimic.dynamics.machine import MachineModel, read_machine
-from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed, tree_of
+from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, drop_outdated, dynamics, links_of, packed, tree_of
 
 TREE = """<mujoco><compiler angle="radian"/><worldbody>
 <body pos=".1 .2 1" euler=".3 .2 .1"><joint name="a" axis="1 2 0" pos=".01 0 .02" ref=".2"/>
@@ -58,3 +59,13 @@ def test_a_load_at_the_tip_is_a_point_of_that_mass(tmp_path):
     np.testing.assert_allclose(
         added[4:], 0.2 * (tip @ tip * np.eye(3) - np.outer(tip, tip))[np.triu_indices(3)], atol=1e-12
     )
+
+
+def test_what_was_compiled_before_a_source_changed_is_made_anew(tmp_path):
+    compiled = tmp_path / "__pycache__"
+    compiled.mkdir()
+    for name, seconds in (("laws.py", 200), ("__pycache__/pass.nbi", 100), ("__pycache__/pass.nbc", 300)):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (seconds, seconds))
+    drop_outdated(tmp_path)
+    assert [path.name for path in compiled.iterdir()] == ["pass.nbc"]
