@@ -21,7 +21,6 @@ FAST_MATH = {"contract", "reassoc", "arcp", "nsz"}
 """What compiled code may do to sums and products; it keeps what is not a number."""
 
 
-
 def drop_outdated(folder: Path) -> None:
     """Delete what was compiled before a source in a folder changed; Numba looks at the file of each function alone."""
     newest = max(source.stat().st_mtime for source in folder.glob("*.py"))
