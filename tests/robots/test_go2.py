@@ -147,7 +147,9 @@ def test_the_shipped_policy_is_refused_in_a_line_that_names_both_robots(go2):
 
 
 def test_a_robot_without_a_shipped_policy_is_told_what_to_do(go2):
-    with pytest.raises(AssetError, match=r"no shipped sit_down policy for other; .* --robot-model other, or its folder$"):
+    with pytest.raises(
+        AssetError, match=r"no shipped sit_down policy for other; .* --robot-model other, or its folder$"
+    ):
         load_policy(None, dataclasses.replace(go2, name="other"), task="sit_down")
 
 
