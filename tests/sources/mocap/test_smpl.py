@@ -139,7 +139,7 @@ def test_gvhmr_is_read_from_a_file_of_pytorch(tmp_path):
     track = read(tmp_path / "hmr4d_results.pt", fps=30)
     np.testing.assert_allclose(arm(track, "left"), UP, atol=1e-6)
     assert track.warnings[0] == "parameters of the SMPL family"
-    with pytest.raises(SourceError, match=r"no frame rate; .* \[mocap\] fps"):
+    with pytest.raises(SourceError, match=r"no frame rate \(fps\); .* \[mocap\] fps"):
         read(tmp_path / "hmr4d_results.pt")
 
 
