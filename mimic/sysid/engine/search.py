@@ -337,6 +337,7 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
     if best is not seen:
         others = dropped = []
     best, *others = ranked([scored(one.model.settled(4)) for one in (best, *others)])
+    others = [_from_there(one, best) for one in others]
     ties = {}
     for one in (*others, *dropped):
         by = best.apart(one)
@@ -356,6 +357,15 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
         noise=noise,
         explained=bool((spread(null.model, after) / noise).max() < EXPLAINED or beyond[1] < (1.0 - MOST) * beyond[0]),
     )
+
+
+def _from_there(one: Scored, best: Scored) -> Scored:
+    """Return a rival as it is or as it is found from the numbers of the best model: a valley may bend away from them."""
+    there = {(f.key, f.joint): x for f, x in zip(best.model.free, best.model.values(), strict=True)}
+    x = np.array([there.get((f.key, f.joint), f.centre) for f in one.model.free])
+    begun = replace(one.model, table=one.model.at(x), unknown=best.model.unknown, columns=None).evaluated()
+    found = begun.settled()
+    return scored(found) if found.cost < one.model.cost else one
 
 
 def _lost(best: Scored) -> tuple[Part, ...]:
