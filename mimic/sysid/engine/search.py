@@ -360,7 +360,7 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
 
 
 def _from_there(one: Scored, best: Scored) -> Scored:
-    """Return a rival as it is or as it is found from the numbers of the best model: a valley may bend away from them."""
+    """Return a rival as it is, or as it is found from the numbers of the best model, where these explain more."""
     there = {(f.key, f.joint): x for f, x in zip(best.model.free, best.model.values(), strict=True)}
     x = np.array([there.get((f.key, f.joint), f.centre) for f in one.model.free])
     begun = replace(one.model, table=one.model.at(x), unknown=best.model.unknown, columns=None).evaluated()
