@@ -10,6 +10,7 @@ from mimic.cli import options as o
 from mimic.cli.terminal.console import ConsoleReporter, console, matrix, note, table, warn
 from mimic.cli.terminal.exit_status import DONE, USER_ERROR
 from mimic.errors import ConfigError
+from mimic.io.store import free_folder
 
 if TYPE_CHECKING:
     from mimic.records import FloatArray
@@ -43,7 +44,7 @@ def calibrate(
         Log of another unit of the machine: say which effect differs between the two. Nothing is written.
     out
         Folder for report.html, calibration.json, effects.toml, model.xml and actuators.json; default:
-        calibration/NAME.
+        calibration/NAME, with a number appended if it exists.
     """
     from mimic.flows.logs.calibrate import ACTUATORS, EFFECTS, MODEL, REPORT, RESULT
     from mimic.flows.logs.calibrate import calibrate as explain
@@ -52,7 +53,7 @@ def calibrate(
         if held_out or out is not None:
             raise ConfigError("--compare holds no log out and writes nothing; leave out --held-out and --out")
         return _compare(logs, compare, model, settings, note)
-    folder = out or Path("calibration") / (logs[0].stem if logs else "log")
+    folder = out or free_folder(Path("calibration") / (logs[0].stem if logs else "log"))
     result = explain(list(logs), model, settings, held_out=held_out, notes=note, out=folder, reporter=ConsoleReporter())
     files = [folder / name for name in (REPORT, RESULT, EFFECTS, MODEL, ACTUATORS)]
     _show(result, [file for file in files if file.exists()])

@@ -140,19 +140,13 @@ def new_run_folder(source: Path | str, out: Path | None) -> Path:
         ConfigError: If ``out`` holds files already.
     """
     if out is not None:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise ConfigError(f"{out} exists and is not empty; name another folder with --out, or remove it")
-        store.check_writable(out.parent if not out.exists() else out)
+        store.check_new_folder(out)
         return out
     if isinstance(source, str):
         name = "-".join(re.findall(r"[a-z0-9]+", source.lower())[:6]) or "text"
     else:
         name = source.parent.name if source.name in (TARGETS, COMMANDS, SCRIPT) else source.stem
-    folder = Path("runs") / name
-    number = 2
-    while folder.exists():
-        folder = Path("runs") / f"{name}-{number}"
-        number = number + 1
+    folder = store.free_folder(Path("runs") / name)
     store.check_writable(folder.parent)
     return folder
 

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mimic.config.text_file import from_json
-from mimic.errors import AssetError
+from mimic.errors import AssetError, ConfigError
 from mimic.records import AXES, Provenance, Record
 from mimic.version import __version__
 
@@ -49,6 +49,28 @@ def check_writable(folder: Path) -> None:
         ) from None
 
 
+def check_new_folder(folder: Path) -> None:
+    """Make sure that files can be written into a folder that does not exist yet, or is empty.
+
+    Raises:
+        ConfigError: If it holds files already.
+        AssetError: If nothing can be written there.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ConfigError(f"{folder} exists and is not empty; name another folder with --out, or remove it")
+    check_writable(folder)
+
+
+def free_folder(folder: Path) -> Path:
+    """Return a folder, or where it exists one with a number behind its name that does not."""
+    free = folder
+    number = 2
+    while free.exists():
+        free = folder.with_name(f"{folder.name}-{number}")
+        number = number + 1
+    return free
+
+
 def check_file(path: Path) -> None:
     """Make sure that a file can be written, before work is spent on it.
 
@@ -68,6 +90,10 @@ def written_whole(path: Path) -> Iterator[Path]:
     try:
         yield part
         part.replace(path)
+    except OSError as reason:
+        if reason.errno is not None and reason.filename is None:  # as where a disk is full
+            reason.filename = str(path)
+        raise
     finally:
         part.unlink(missing_ok=True)
 

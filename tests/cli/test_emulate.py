@@ -110,11 +110,21 @@ def test_it_ends_after_its_time_with_a_summary(capsys):
         (["--effects", "nowhere.toml"], "nowhere.toml"),
         (["--placement", "2"], "placement is 2"),
         (["--timestep", "0.003"], "timestep is 0.003"),
+        (["--every", "-1"], "every is -1 s; it must be from 0"),
+        (["--board", "go2", "--slcan", "--buses", "2"], "--board go2 has no --slcan, --buses; it takes --wiring, "),
+        (["--board", "go2", "--zeroed"], "has no --zeroed; it takes --wiring, --fault, --seconds, --every, "),
+        (["--board", "cyberdog2", "--can-timeout"], "has no --can-timeout; it takes "),
     ],
 )
 def test_what_it_cannot_do_it_says(arguments, says, capsys):
     assert main(["emulate", "--seconds", "0", *arguments]) == 2
     assert says in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("seconds", ["-1", "nan"])
+def test_it_ends_after_no_negative_time(seconds, capsys):
+    assert main(["emulate", "--listen", "127.0.0.1:0", "--seconds", seconds]) == 2
+    assert f"seconds is {seconds} s; it must be from 0" in capsys.readouterr().err
 
 
 def test_a_stand_is_left_out_on_the_floor_and_said_so(tmp_path: Path, capsys):

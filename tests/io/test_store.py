@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -239,3 +240,21 @@ def test_bytes_that_are_no_parquet_are_refused(tmp_path):
     path.write_bytes(b"PAR1" + bytes(100) + b"\xff\xff\xff\x7fPAR1")
     with pytest.raises(AssetError, match="not a record of mimic"):
         store.load(path, CommandTrack)
+
+
+@pytest.mark.parametrize("kind", ["parquet", "json"])
+def test_where_there_is_no_room_the_file_is_named(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"log.{kind}"
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+    try:
+        with pytest.raises(OSError, match=path.name) as caught:
+            if kind == "json":
+                store.save_json(["word"] * 10_000, path)
+            else:
+                store.save(example(RunLog), path, made_by=store.provenance())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert caught.value.filename == str(path)
+    assert caught.value.strerror
+    assert list(tmp_path.iterdir()) == []

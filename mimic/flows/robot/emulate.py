@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from mimic.config.emulator import EmulateSettings
 from mimic.config.play import DEFAULT_ROBOT, EffectsSettings
+from mimic.config.ranges import Limited, within
 from mimic.control.priority import EMULATOR, real_time
 from mimic.control.signals import Signals
 from mimic.dynamics.effect_set import EffectSet, read_effects
@@ -35,7 +38,7 @@ from mimic.hardware.stock.wiring import load_board
 
 
 @frozen
-class ServeOptions:
+class ServeOptions(Limited):
     """Where and how long the robot is served."""
 
     listen: str = "127.0.0.1:29536"
@@ -48,12 +51,19 @@ class ServeOptions:
     """Wiring file; by default the shipped one."""
     faults: Sequence[str] = ()
     """Faults to inject, KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]]."""
-    seconds: float | None = None
+    seconds: float | None = within(None, 0.0, math.inf, "s")
     """End after this [s]; None serves until Ctrl-C or SIGTERM."""
-    every: float = 10.0
+    every: float = within(10.0, 0.0, math.inf, "s")
     """Interval of the status lines [s]; 0 for none."""
     board: str | None = None
     """Stock robot to serve, cyberdog2 or go2; None serves motors on CAN."""
+
+
+_LACKS = {
+    "cyberdog2": ("listen", "slcan", "buses", "zeroed", "position_range", "can_timeout", "reply"),
+    "go2": ("listen", "slcan", "buses", "zeroed", "position_range", "reply"),
+}
+"""Options and settings that a stock robot does not have."""
 
 
 @frozen
@@ -77,6 +87,21 @@ def _address(listen: str) -> tuple[str, int]:
     if not colon or not host or not port.isdigit() or int(port) > 65535:
         raise ConfigError(f"--listen is {listen!r}; expected HOST:PORT, such as 127.0.0.1:29536")
     return host, int(port)
+
+
+def _refuse_lacking(board: str, *given: ServeOptions | EmulateSettings) -> None:
+    """Raise a ConfigError with the options that are given, but that a stock robot does not have."""
+    lacks = []
+    takes = []
+    for settings in given:
+        for f in fields(settings):
+            name = "--fault" if f.name == "faults" else f"--{f.name.replace('_', '-')}"
+            if f.name not in _LACKS[board]:
+                takes.append(name)
+            elif getattr(settings, f.name) != f.default:
+                lacks.append(name)
+    if lacks:
+        raise ConfigError(f"--board {board} has no {', '.join(lacks)}; it takes {', '.join(takes)}")
 
 
 def serve_robot(
@@ -174,6 +199,7 @@ def _network(options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
 
 def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
     name = options.board or DEFAULT_ROBOT
+    _refuse_lacking(name, options, settings)
     made, wiring, open_bus = _network(options)
     faults = [parse_fault(text) for text in options.faults]
     board = made(
