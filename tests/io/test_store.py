@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import json
 import resource
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -242,17 +243,22 @@ def test_bytes_that_are_no_parquet_are_refused(tmp_path):
         store.load(path, CommandTrack)
 
 
-@pytest.mark.parametrize("kind", ["parquet", "json"])
-def test_where_there_is_no_room_the_file_is_named(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / f"log.{kind}"
+def _save_log(path: Path) -> None:
+    store.save(example(RunLog), path, made_by=store.provenance())
+
+
+def _save_words(path: Path) -> None:
+    store.save_json(["word"] * 1000, path)
+
+
+@pytest.mark.parametrize("write", [_save_log, _save_words])
+def test_where_there_is_no_room_the_file_is_named(tmp_path: Path, write: Callable[[Path], None]) -> None:
+    path = tmp_path / "log.file"
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
     try:
         with pytest.raises(OSError, match=path.name) as caught:
-            if kind == "json":
-                store.save_json(["word"] * 10_000, path)
-            else:
-                store.save(example(RunLog), path, made_by=store.provenance())
+            write(path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert caught.value.filename == str(path)
