@@ -11,7 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimic.control.loop import RunResult, run_policy
-from mimic.control.safety.safety_limits import limits_for
 from mimic.control.safety.supervisor import Supervisor
 from mimic.control.tick import Safety
 from mimic.policy.contract import METADATA_KEY, NETWORK, PolicyContract
@@ -83,7 +82,7 @@ def constant_onnx(contract: PolicyContract) -> Callable[..., Path]:
 
 
 FORGIVING = replace(
-    limits_for(load_description("cyberdog2")),
+    load_description("cyberdog2").safety,
     turn_mismatch=10.0,
     toes_apart=10.0,
     toes_apart_moving=10.0,

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from mimic.config.hardware import ProbeSettings
-from mimic.control.safety.safety_limits import limits_for
 from mimic.control.safety.safety_rules import FAILURE, SUSPENDED_RULES
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import Event, SafetyMode, Supervisor
@@ -72,7 +71,7 @@ def probe(
     Raises:
         PlantError: If it ended before the first row.
     """
-    limits = limits_for(robot.description)
+    limits = robot.description.safety
     counted = ("silent_ticks", "small_overrun_ticks", "overrun_ticks", "off_target_ticks")
     share = robot.description.dt * settings.rate_hz
     limits = replace(limits, **{name: round(getattr(limits, name) * share) for name in counted})

@@ -19,7 +19,6 @@ from mimic.config.play import (
 )
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
-from mimic.control.safety.safety_limits import Limits
 from mimic.control.safety.safety_rules import FALLEN, TIPPING, Alert, Rule
 from mimic.control.safety.step_history import StepHistory, StepReport
 from mimic.control.safety.supervisor import Supervisor
@@ -29,6 +28,7 @@ from mimic.policy.runtime import Policy, cached_policy
 from mimic.records import PHASES, BoolArray, CommandTrack
 from mimic.records.base import Record
 from mimic.robot.description import RobotDescription
+from mimic.robot.parts import SafetyLimits
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 OF_EPISODES: dict[str, Any] = {"samples": False, "begin": -RAMP - TRIM}
@@ -64,7 +64,7 @@ class Job:
         return SimulatedPlant(description, ranges=self.ranges, seed=self.seed, **given)
 
 
-def _sits_down(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def _sits_down(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     for alert in TIPPING.check(report, history, limits):
         yield replace(alert, outcome="SIT_DOWN", needs_upright=False)
 

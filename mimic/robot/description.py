@@ -28,7 +28,7 @@ from mimic.robot.parts import (
     LegGeometry,
     ModelNames,
     ProbeRanges,
-    SafetyNumbers,
+    SafetyLimits,
     StartNumbers,
     ThermalNumbers,
     TrainingNumbers,
@@ -100,7 +100,7 @@ class RobotDescription:
     workspace: Workspace
     commands: CommandLimits
     start: StartNumbers
-    safety: SafetyNumbers
+    safety: SafetyLimits
     training: TrainingNumbers
     trunk_numbers: TrunkNumbers | None
     """None where nobody has found out how the robot stands by itself."""
@@ -272,7 +272,7 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
         ),
         commands=CommandLimits(velocity=_array(commands["velocity_max"]), turn_rate=commands["turn_rate_max"]),
         start=StartNumbers(**raw["start"]),
-        safety=SafetyNumbers(**raw["safety"]),
+        safety=SafetyLimits(**raw["safety"]),
         training=TrainingNumbers(**raw["training"]),
         trunk_numbers=_trunk_numbers(raw["trunk"]) if "trunk" in raw else None,
         thermal_numbers=_thermal(motor) if "thermal" in motor else None,

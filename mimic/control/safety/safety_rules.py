@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from mimic.control.safety.safety_limits import Limits
 from mimic.control.safety.step_history import MOVING, STANDING, StepHistory, StepReport
 from mimic.frozen import frozen
 from mimic.geometry import up_cosine
 from mimic.metrics import uprightness
 from mimic.records import DOUBLED, JOINTS, PHASES
+from mimic.robot.parts import SafetyLimits
 
 BOARD_LATE = 0x01
 """Bit of a motion board's error flag: a command was late."""
@@ -35,7 +35,7 @@ class Alert:
     """Whether sitting down makes sense only for a robot that is still upright."""
 
 
-Check = Callable[[StepReport, StepHistory, Limits], Iterator[Alert]]
+Check = Callable[[StepReport, StepHistory, SafetyLimits], Iterator[Alert]]
 
 
 @frozen
@@ -68,7 +68,7 @@ def _failed(joint: int, text: str) -> Alert:
 
 
 @_rule
-def asked_to_end(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def asked_to_end(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Ctrl-C once and again, SIGTERM, and what must be held and was let go."""
     if report.terminated:
         yield Alert("DAMP", "the process was asked to end (SIGTERM)")
@@ -82,7 +82,7 @@ def asked_to_end(report: StepReport, history: StepHistory, limits: Limits) -> It
 
 
 @_rule
-def motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def motor_silent(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Motors that do not answer."""
     health = report.health
     silent = np.flatnonzero((health.missed >= limits.silent_ticks) & (health.age >= limits.silent_seconds))
@@ -97,7 +97,7 @@ def motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> It
 
 
 @_rule
-def motor_failed(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def motor_failed(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Motors that report a fault, or switched themselves off."""
     health = report.health
     for joint in np.flatnonzero(health.faults):
@@ -116,7 +116,7 @@ def motor_failed(report: StepReport, history: StepHistory, limits: Limits) -> It
 
 
 @_rule
-def too_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def too_hot(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Motors and windings that are warm, and too warm."""
     temperature = report.health.temperature
     for joint in np.flatnonzero(temperature >= limits.temperature_warning):
@@ -133,7 +133,7 @@ def too_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
 
 
 @_rule
-def answers_slow(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def answers_slow(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Answers that take long, though none is missing."""
     text = f"answers of the motors take {1e3 * history.round_trip:.0f} ms"
     if history.round_trip > limits.slowest_answers:
@@ -143,7 +143,7 @@ def answers_slow(report: StepReport, history: StepHistory, limits: Limits) -> It
 
 
 @_rule
-def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def battery_low(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """A supply that runs down."""
     text = f"the supply is at {history.voltage:.1f} V"
     if history.voltage < limits.lowest_voltage:
@@ -153,7 +153,7 @@ def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Ite
 
 
 @_rule
-def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def joint_impossible(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Readings that no joint can have, that turn too fast, or that do not change although the targets do."""
     description = history.description
     q = report.state.q
@@ -177,7 +177,7 @@ def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -
 
 
 @_rule
-def off_target(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def off_target(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Joints that do not get to their targets."""
     away = np.flatnonzero(history.off_target >= limits.off_target_ticks) if history.moves else ()
     history.failed.update(map(int, away))
@@ -187,7 +187,7 @@ def off_target(report: StepReport, history: StepHistory, limits: Limits) -> Iter
 
 
 @_rule
-def imu_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def imu_silent(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """An IMU that sends nothing, nothing new, or nothing valid."""
     health = report.health
     if not health.imu_age <= limits.imu_age:
@@ -203,7 +203,7 @@ def imu_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iter
 
 
 @_rule
-def imu_contradiction(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def imu_contradiction(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Orientations that do not turn as the rate of turn says, or that the legs contradict."""
     text = f"orientation and rate of turn of the IMU disagree by {history.turn_mismatch:.2f} rad"
     if history.doubtful >= limits.doubt_ticks:
@@ -222,7 +222,7 @@ def imu_contradiction(report: StepReport, history: StepHistory, limits: Limits) 
         )
 
 
-def tipping(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def tipping(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """A standing robot that is about to fall."""
     if PHASES[report.phase] in STANDING and not history.doubtful:
         upright = float(uprightness(report.state.quat_WB, history.description))
@@ -230,14 +230,14 @@ def tipping(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
             yield Alert("DAMP", f"the robot is tipping over: {degrees(upright)} deg from upright")
 
 
-def fallen(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def fallen(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """A robot that should stand and lies."""
     if PHASES[report.phase] in STANDING and float(up_cosine(*report.state.quat_WB)) < limits.fallen:
         yield Alert("STOPPED", "the robot has fallen")
 
 
 @_rule
-def falling(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def falling(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """A robot that tips over while it stands, or rolls over while it gets up or down."""
     if not history.moves:
         return
@@ -252,7 +252,7 @@ def falling(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
 
 
 @_rule
-def step_late(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def step_late(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Control steps that end late."""
     overrun = report.health.late
     row = history.overruns
@@ -269,7 +269,7 @@ def step_late(report: StepReport, history: StepHistory, limits: Limits) -> Itera
 
 
 @_rule
-def bus_errors(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def bus_errors(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Frames that make no sense, buses that fail, and commands that a motion board misses."""
     if report.health.err_flag & BOARD_TIMED_OUT:
         yield Alert("DAMP", "the robot's firmware ignores commands, as none had reached it (error 0x02)")
@@ -283,7 +283,7 @@ def bus_errors(report: StepReport, history: StepHistory, limits: Limits) -> Iter
 
 
 @_rule
-def sender(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def sender(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """A process that sends to the robot, and has said nothing for a while."""
     silent = report.health.sender_age
     if silent > limits.sender_age:
@@ -292,7 +292,7 @@ def sender(report: StepReport, history: StepHistory, limits: Limits) -> Iterator
 
 
 @_rule
-def other_program(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def other_program(report: StepReport, history: StepHistory, limits: SafetyLimits) -> Iterator[Alert]:
     """Commands of another program."""
     if history.new_foreign >= limits.foreign_storm:
         text = f"another program commands this robot: {history.new_foreign} times within a tenth of a second"

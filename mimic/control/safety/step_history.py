@@ -7,13 +7,13 @@ from collections import deque
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mimic.control.safety.safety_limits import Limits
 from mimic.dynamics.thermal import MotorHeat
 from mimic.frozen import frozen_arrays
 from mimic.geometry import rotation_from_quat
 from mimic.records import JOINTS, PHASES, FloatArray, Health, RobotState
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import all_toes
+from mimic.robot.parts import SafetyLimits
 
 STANDING = ("blend", "track", "hold")
 """Phases in which the robot should be upright."""
@@ -49,7 +49,7 @@ NOT_YET = 2
 class StepHistory:
     """What the rules need of the steps before: counters, the change since the last step, and the thermal model."""
 
-    def __init__(self, description: RobotDescription, limits: Limits, *, moves: bool = True) -> None:
+    def __init__(self, description: RobotDescription, limits: SafetyLimits, *, moves: bool = True) -> None:
         self.description = description
         self._limits = limits
         self.moves = moves

@@ -11,13 +11,13 @@ from enum import IntEnum
 
 import numpy as np
 
-from mimic.control.safety.safety_limits import Limits, limits_for
 from mimic.control.safety.safety_rules import FALLS, RULES, Alert, Rule
 from mimic.control.safety.step_history import STANDING, StepHistory, StepReport
 from mimic.frozen import frozen
 from mimic.metrics import uprightness
 from mimic.records import PHASES
 from mimic.robot.description import RobotDescription
+from mimic.robot.parts import SafetyLimits
 
 
 class SafetyMode(IntEnum):
@@ -48,7 +48,7 @@ class Supervisor:
     def __init__(
         self,
         description: RobotDescription,
-        limits: Limits | None = None,
+        limits: SafetyLimits | None = None,
         *,
         rules: Sequence[Rule] = RULES,
         sits: bool = True,
@@ -66,7 +66,7 @@ class Supervisor:
             moves: Whether the motors follow their targets; False in a dry run.
         """
         self._strict = strict
-        limits = limits_for(description) if limits is None else limits
+        limits = description.safety if limits is None else limits
         self._description = description
         self._limits = limits
         self._rules = rules

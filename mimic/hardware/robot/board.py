@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from mimic.control.safety.safety_limits import limits_for
 from mimic.errors import BusError, ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check
@@ -155,7 +154,7 @@ class BoardDriver:
         self.problem = ""
         bus.heard = self.heard
         self._description = description
-        self._limits = limits_for(description)
+        self._limits = description.safety
         self._order = wiring
         self._kd = min(description.kd_max, wiring.limits.kd)
         self._foreign = NEVER

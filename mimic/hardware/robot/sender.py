@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from mimic.control.safety.safety_limits import limits_for
 from mimic.errors import FrameError, MimicError
 from mimic.frozen import frozen_arrays
 from mimic.hardware.robot.driver import Driver
@@ -109,7 +108,7 @@ class Sender:
     def __init__(self, driver: Driver, description: RobotDescription) -> None:
         """Begin in LISTEN."""
         self.driver = driver
-        self._limits = limits_for(description)
+        self._limits = description.safety
         self._description = description
         self.state = State.LISTEN
         self.reason = ""

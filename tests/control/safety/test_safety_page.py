@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mimic.control.safety.safety_limits import Limits, limits_for
 from mimic.control.safety.safety_rules import FAILURE, RULES, degrees
 from mimic.control.start import START
 from mimic.robot.description import load_description
+from mimic.robot.parts import SafetyLimits
 
 SIT = "sit down*"
 
-WORDS: dict[str, tuple[Callable[[Limits], str], str, str]] = {
+WORDS: dict[str, tuple[Callable[[SafetyLimits], str], str, str]] = {
     "asked_to_end": (
         lambda L: "Ctrl-C, the terminal is closed, or `--hold` is released; Ctrl-C again, or SIGTERM",
         "1 tick; a key 0.3 s",
@@ -113,7 +113,7 @@ PAGE = (Path(__file__).parents[3] / "docs" / "manual" / "robot.md").read_text(en
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)
 def test_the_page_has_every_rule_as_the_code_has_it(rule, description):
     limit, within, outcome = WORDS[rule.name]
-    assert f"| `{rule.name}` | {limit(limits_for(description))} | {within} | {outcome} |" in PAGE
+    assert f"| `{rule.name}` | {limit(description.safety)} | {within} | {outcome} |" in PAGE
 
 
 def test_the_page_has_the_rule_of_the_loop():

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mimic.control.safety.safety_limits import limits_for
 from mimic.control.safety.safety_rules import FAILURE, RULES
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
@@ -17,7 +16,7 @@ from mimic.records import JOINTS, PHASES, Health, RobotState
 from mimic.robot.description import load_description
 
 DT = 0.02
-LIMITS = limits_for(load_description("cyberdog2"))
+LIMITS = load_description("cyberdog2").safety
 UPRIGHT = Rotation.from_euler("Y", -np.pi / 2 + np.arctan2(0.2, 1.0))
 """Orientation in which the robot stands: base x leans forward by 11.3 deg."""
 
