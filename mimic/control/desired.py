@@ -13,6 +13,7 @@ import numpy as np
 
 from mimic.config.play import RunSettings
 from mimic.control.arms import ArmGoal, LiveArms, StoredArms
+from mimic.errors import ContractError
 from mimic.frozen import frozen_arrays
 from mimic.geometry import smoothstep
 from mimic.policy.contract import INVERSE_KINEMATICS, PolicyContract
@@ -36,6 +37,9 @@ class Desired:
 
 class DesiredMotion(Protocol):
     """A motion, one control tick after another."""
+
+    ticks: int
+    """Control ticks that are known of it."""
 
     def at(self, tick: int, q: FloatArray) -> Desired | None:
         """Return what is asked for at a control tick, counted from standing up; None when the motion is over.
@@ -97,7 +101,16 @@ class StoredMotion:
             contract: Of the policy that is asked.
             description: The robot.
             endless: Hold the last command for ever.
+
+        Raises:
+            ContractError: If the track is empty or has another control step than the policy.
         """
+        if not len(track.t):
+            raise ContractError("there are no commands to play; expected at least one row")
+        if not np.allclose(np.diff(track.t), contract.dt, rtol=0.0, atol=1e-6):
+            given = f"{float(np.median(np.diff(track.t))):g}"
+            needed = f"the policy needs one every {contract.dt:g} s throughout"
+            raise ContractError(f"the commands come every {given} s; {needed}")
         self._track = track
         self._timing = timing = _Timing(settings, contract, description)
         self._endless = endless
@@ -105,7 +118,6 @@ class StoredMotion:
         if timing.moves_arms:
             self._arms = StoredArms(track.p_BE, timing.blend, contract, description)
         self.ticks = timing.stand + timing.blend + len(track.t) + timing.hold
-        """Control ticks of the motion, unless it is endless."""
         self.out_of_reach = 0 if self._arms is None else self._arms.out_of_reach
         """Targets that the arms cannot reach; they go to the closest point."""
 
@@ -140,6 +152,7 @@ class LiveMotion:
         self._live = live
         self._timing = _Timing(settings, contract, description)
         self._hold_left = self._timing.hold
+        self.ticks = self._timing.stand + self._timing.blend + self._timing.hold
         self._last: Command | None = None
         self._arms: LiveArms | None = None
         if self._timing.moves_arms:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from itertools import count
 
@@ -26,7 +26,7 @@ from mimic.errors import ContractError, PlantError, SenderError
 from mimic.frozen import frozen_arrays
 from mimic.geometry import heading_from_quat
 from mimic.io.store import plain
-from mimic.policy.contract import ObservationBuilder, PolicyContract
+from mimic.policy.contract import ObservationBuilder
 from mimic.policy.runtime import Policy
 from mimic.records import (
     PHASES,
@@ -37,7 +37,6 @@ from mimic.records import (
     LiveCommands,
     RunLog,
 )
-from mimic.robot.description import RobotDescription
 
 SIT_DOWN, DAMP = (PHASES.index(name) for name in ("sit_down", "damp"))
 
@@ -107,9 +106,16 @@ def run_policy(
     if safety is None:
         supervisor = Supervisor(plant.description, sits=sit_down is not None)
         safety = Safety(supervisor=supervisor, tested=False, damp_at_end=False)
-    motion, expected = _motion(track, settings, contract, plant.description, safety)
+    motion: DesiredMotion
+    if isinstance(track, CommandTrack):
+        motion = StoredMotion(track, settings, contract, plant.description, endless=safety.endless)
+        if motion.out_of_reach:
+            far = f"{motion.out_of_reach} of {len(track.t)} rows ask for toes out of reach"
+            safety.supervisor.note("clamped", f"{far}; they go to the closest point", 0.0)
+    else:
+        motion = LiveMotion(track, settings, contract, plant.description)
     sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
-    report = None if progress is None else partial(_report, progress, expected + sit_ticks)
+    report = None if progress is None else partial(_report, progress, motion.ticks + sit_ticks)
     run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
     position: HeldPosition | KeptDistance | None = None
     if settings.hold_position:
@@ -136,7 +142,7 @@ def run_policy(
         log=RunLog(**run.journal.columns(), metadata=metadata),
         health=HealthLog(**run.journal.health_columns()),
         events=events,
-        samples=_joined(run.samples),
+        samples=run.journal.samples(),
         fell_at=fell_at,
         interrupted=run.interrupted,
         error=error,
@@ -145,30 +151,6 @@ def run_policy(
 
 def _report(progress: Callable[[int, int], None], expected: int, done: int) -> None:
     progress(done, max(done, expected))
-
-
-def _motion(
-    track: CommandTrack | LiveCommands,
-    settings: RunSettings,
-    contract: PolicyContract,
-    description: RobotDescription,
-    safety: Safety,
-) -> tuple[DesiredMotion, int]:
-    """Return the motion to play, and the control ticks that are known of it."""
-    dt = contract.dt
-    if not isinstance(track, CommandTrack):
-        known = round((settings.stand_up + settings.blend + settings.hold_last) / dt)
-        return LiveMotion(track, settings, contract, description), known
-    if not len(track.t):
-        raise ContractError("there are no commands to play; expected at least one row")
-    if not np.allclose(np.diff(track.t), dt, rtol=0.0, atol=1e-6):
-        given = float(np.median(np.diff(track.t)))
-        raise ContractError(f"the commands come every {given:g} s; the policy needs one every {dt:g} s throughout")
-    motion = StoredMotion(track, settings, contract, description, endless=safety.endless)
-    if motion.out_of_reach:
-        text = f"{motion.out_of_reach} of {len(track.t)} rows ask for toes out of reach; they go to the closest point"
-        safety.supervisor.note("clamped", text, 0.0)
-    return motion, motion.ticks
 
 
 def _play(
@@ -244,12 +226,3 @@ def _damp(run: Run) -> None:
     while run.mode < SafetyMode.STOPPED and run.plant.damp():
         run.hold(damping_command(np.clip(run.sensed.q, d.q_min, d.q_max), d.kd_max), DAMP)
     run.decide("at_rest", SafetyMode.STOPPED, "the process that sends has left the robot")
-
-
-def _joined(samples: list[JointSamples]) -> JointSamples | None:
-    if not samples:
-        return None
-    columns = {}
-    for f in fields(JointSamples):
-        columns[f.name] = np.concatenate([getattr(part, f.name) for part in samples])
-    return JointSamples(**columns)

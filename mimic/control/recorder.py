@@ -24,7 +24,7 @@ from mimic.control.priority import RECORDER, real_time
 from mimic.control.row_file import RowFile, read_rows
 from mimic.control.safety.supervisor import Event
 from mimic.io.store import plain
-from mimic.records import AXES, FloatArray, Health, HealthLog, Record, RunLog
+from mimic.records import AXES, FloatArray, Health, HealthLog, JointSamples, Record, RobotState, RunLog, Tick
 
 ROWS = "log.rows"
 """File of rows in a run folder, removed once log.parquet exists."""
@@ -95,7 +95,7 @@ def _shapes(kind: type[Record], observation: int) -> dict[str, tuple[int, ...]]:
     return {f.name: tuple(map(lengths.__getitem__, f.metadata["axes"])) for f in arrays}
 
 
-def health_row(health: Health | None, t: float, clamped: int, mode: int) -> dict[str, Any]:
+def _health_row(health: Health | None, t: float, clamped: int, mode: int) -> dict[str, Any]:
     """Return the columns of a HealthLog for one tick; NaN where the plant does not measure."""
     nothing = np.full(len(AXES["joint"]), np.nan)
     row: dict[str, Any] = {"t": t, "clamped": float(clamped), "mode": float(mode)}
@@ -172,18 +172,37 @@ class RunRecorder:
 class Journal:
     """The log of a run in memory, and on disk as long as that works."""
 
-    def __init__(self, disk: RunRecorder | None) -> None:
+    def __init__(self, disk: RunRecorder | None, observation: int) -> None:
+        """Begin a log; policies observe so many numbers."""
         self._disk = disk
         self._rows: dict[str, list[Any]] = {}
         self._health: dict[str, list[Any]] = {}
+        self._samples: list[JointSamples] = []
         self._noted = 0
+        unknown = ("v_des", "heading_des", "p_BE_des", "trunk_des", "observation", "action", "q_sent", "kp", "kd")
+        shapes = _shapes(RunLog, observation)
+        self._unknown = {name: np.full(shapes[name], np.nan) for name in unknown} | {"v_des": np.zeros(2)}
 
-    def add(self, row: Mapping[str, Any], health: Mapping[str, Any]) -> None:
+    def add(self, state: RobotState, done: Tick | None, *, clamped: int, mode: int, **known: Any) -> None:
         """Append a tick.
+
+        Args:
+            state: Before it.
+            done: What came of it; None where it failed.
+            clamped: Numbers that were beyond their limits.
+            mode: Of the supervisor.
+            known: Columns of the RunLog: what was asked for, and what a policy saw and answered.
 
         Raises:
             OSError: If the disk fails; from then on all is in memory only.
         """
+        row = {name: getattr(state, name) for name in ("t", "q", "dq", "tau", "quat_WB", "omega_B", "p_WB", "v_WB")}
+        row |= self._unknown | known
+        if done is not None:
+            row |= {"q_sent": done.sent.position_target(), "kp": done.sent.kp, "kd": done.sent.kd}
+        if done is not None and done.samples is not None:
+            self._samples.append(done.samples)
+        health = _health_row(None if done is None else done.health, state.t, clamped, mode)
         for columns, values in ((self._rows, row), (self._health, health)):
             for name, value in values.items():
                 columns.setdefault(name, []).append(value)
@@ -215,6 +234,11 @@ class Journal:
     def columns(self) -> dict[str, Any]:
         """Return the columns of the RunLog."""
         return {name: np.array(values) for name, values in self._rows.items()}
+
+    def samples(self) -> JointSamples | None:
+        """Return the joints faster than the control rate, where the plant records them."""
+        columns = {f.name: [getattr(part, f.name) for part in self._samples] for f in fields(JointSamples)}
+        return JointSamples(**{name: np.concatenate(v) for name, v in columns.items()}) if self._samples else None
 
     def health_columns(self) -> dict[str, Any]:
         """Return the columns of the HealthLog."""

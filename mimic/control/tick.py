@@ -15,13 +15,13 @@ import numpy as np
 from mimic.config.play import RAMP
 from mimic.control.dropouts import DropoutFilter
 from mimic.control.plant import Plant
-from mimic.control.recorder import Journal, RunRecorder, health_row
+from mimic.control.recorder import Journal, RunRecorder
 from mimic.control.safety.safety_rules import FAILURE
 from mimic.control.safety.step_history import StepReport
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.signals import Signals
 from mimic.geometry import turned_about_up
-from mimic.records import PHASES, JointCommand, JointSamples, RobotState, Tick
+from mimic.records import PHASES, JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import front_toes
 
@@ -67,17 +67,8 @@ class Run:
         self.safety = safety
         self.width = width
         """Of the log's observation column."""
-        self.journal = Journal(safety.recorder)
-        self._nothing_asked = {
-            "v_des": np.zeros(2),
-            "heading_des": np.nan,
-            "p_BE_des": np.full((2, 3), np.nan),
-            "trunk_des": np.full(2, np.nan),
-            "observation": np.full(width, np.nan),
-            "action": np.full(12, np.nan),
-        }
+        self.journal = Journal(safety.recorder, width)
         self._phase = 0
-        self.samples: list[JointSamples] = []
         self.ticks = 0
         self.state: RobotState
         self.sensed: RobotState
@@ -137,31 +128,18 @@ class Run:
         clamped += outside
         if clamped:
             self.note("clamped", f"{clamped} numbers beyond their limits were clamped")
-        state = self.state
-        row: dict[str, Any] = {
-            "t": state.t,
-            "t_host": time.monotonic(),
-            "phase": phase,
-            **{name: getattr(state, name) for name in ("q", "dq", "tau", "quat_WB", "omega_B", "p_WB", "v_WB")},
-            "p_BE": front_toes(state.q, self.plant.description),
-            **self._nothing_asked,
-            **asked,
-            "q_des": command.position_target(),
-        }
+        p_BE = front_toes(self.state.q, self.plant.description)
+        asked |= {"t_host": time.monotonic(), "phase": phase, "p_BE": p_BE, "q_des": command.position_target()}
+        done = None
         try:
             done = self.plant.step(command)
-        except BaseException:
-            unsent = dict.fromkeys(("q_sent", "kp", "kd"), np.full(12, np.nan))
-            self._record(row | unsent, health_row(None, state.t, clamped, self.mode))
-            raise
-        self._record(
-            row | {"q_sent": done.sent.position_target(), "kp": done.sent.kp, "kd": done.sent.kd},
-            health_row(done.health, state.t, clamped, self.mode),
-        )
+        finally:
+            try:
+                self.journal.add(self.state, done, clamped=clamped, mode=self.mode, **asked)
+            except OSError as reason:
+                self._stop_recording(reason)
         self.state = done.state
         self.ticks += 1
-        if done.samples is not None:
-            self.samples.append(done.samples)
         self._supervise(done, phase, command)
         supervisor = self.safety.supervisor
         sensed = self._dropouts.fill(done.state, supervisor.distrusted, doubted=supervisor.doubts_orientation)
@@ -187,12 +165,6 @@ class Run:
         )
         self.safety.supervisor.update(report)
         self._obey()
-
-    def _record(self, row: dict[str, Any], health: dict[str, Any]) -> None:
-        try:
-            self.journal.add(row, health)
-        except OSError as reason:
-            self._stop_recording(reason)
 
     def _stop_recording(self, reason: OSError) -> None:
         """Go on without a log on disk: the rows stay in memory, and the robot sits down if it does not lie."""
