@@ -1,5 +1,7 @@
 """Exception classes, sorted by what the caller can do about them."""
 
+from __future__ import annotations
+
 import re
 from pathlib import Path
 
@@ -23,6 +25,9 @@ class MissingExtra(MimicError, ImportError):
         self.library = library
         self.extra = extra
         super().__init__(f"this needs {library}, which is not installed: {install_line(extra)}")
+
+    def __reduce__(self) -> tuple[type[MissingExtra], tuple[str, str]]:
+        return type(self), (self.library, self.extra)
 
 
 def install_line(extra: str) -> str:

@@ -3,11 +3,14 @@
 Heartbeats go both ways: the sender damps the robot when no order comes (`mimic.hardware.robot.sender.ORDER_TIMEOUT`),
 the loop when no report comes for HANGS. Whoever is left damps: the loop ends a sender that
 hangs, and opens the robot's bus itself.
+
+What they say to each other is a kind and its content: order, damp, check and start; report, answer, taken over, ending.
 """
 
 from __future__ import annotations
 
 import json
+import pickle
 import select
 import signal
 import socket
@@ -20,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from mimic import errors
 from mimic.control.priority import SENDER, real_time
 from mimic.errors import MimicError, PlantError
 from mimic.hardware.robot.checks import Check
@@ -50,17 +52,12 @@ READ_WITHIN = 1.0
 BEHIND = 0.1
 """A computer whose clocks part by more than this has slept [s]."""
 
-_ORDER = b"O"
-_CHECK = b"C"
-_START = b"S"
-_DAMP = b"D"
-_REPORT = b"R"
-_ANSWER = b"A"
-_ERROR = b"E"
-_TAKEN_OVER = b"D"
-_ENDING = b"T"
-
 _LARGEST = 1 << 17
+
+
+def packed(kind: str, content: Any = None) -> bytes:
+    """Return a message as bytes."""
+    return pickle.dumps((kind, content))
 
 
 class SenderProcess:
@@ -93,14 +90,13 @@ class SenderProcess:
         self._state = State.LISTEN
         self._lost = False
         self._started = False
-        self._answer: Any = None
-        self._failure: tuple[str, str] | None = None
+        self._answers: list[Any] = []
         self._taken_over = ""
         self._damps = False
         self._ending: str | None = None
         self._heard = time.monotonic()
         try:
-            self._ask(b"")
+            self._ask()
         except BaseException:
             self.close()
             raise
@@ -122,33 +118,31 @@ class SenderProcess:
 
     def checks(self, options: CheckOptions) -> list[Check]:
         """Check a robot that nobody drives; nothing moves."""
-        return [Check(**found) for found in self._ask(_CHECK + json.dumps(asdict(options)).encode())]
+        return list(self._ask("check", options))
 
     def start(self, *, suspended: bool = False) -> None:
         """Switch the motors on without gains."""
         self._started = True
         self._reports.clear()
-        self._ask(_START + json.dumps(suspended).encode())
+        self._ask("start", suspended)
 
-    def _ask(self, request: bytes) -> Any:
-        """Send a request, and return its answer."""
-        self._answer = None
-        if request:
-            self._send(request)
+    def _ask(self, kind: str = "", content: Any = None) -> Any:
+        """Send a request, if any, and return its answer."""
+        self._answers.clear()
+        if kind:
+            self._send(kind, content)
         end = time.monotonic() + ANSWER_WITHIN
-        while self._answer is None and self._failure is None and not self._lost and time.monotonic() < end:
+        while not self._answers and not self._lost and time.monotonic() < end:
             self._read(0.1)
-        if self._failure is not None:
-            (name, text) = self._failure
-            self._failure = None
-            raise _error(name, text)
-        if self._answer is None:
+        if not self._answers:
             raise PlantError(f"the process that sends to the robot {'has ended' if self._lost else 'does not answer'}")
-        return self._answer["is"]
+        if isinstance(self._answers[0], Exception):
+            raise self._answers[0]
+        return self._answers[0]
 
-    def _send(self, data: bytes) -> None:
+    def _send(self, kind: str, content: Any = None) -> None:
         try:
-            self._ours.send(data)
+            self._ours.send(packed(kind, content))
         except BlockingIOError:
             return  # it does not read: it sees no sign of life, and damps
         except OSError:
@@ -156,7 +150,7 @@ class SenderProcess:
 
     def order(self, order: Order) -> None:
         """Give an order."""
-        self._send(_ORDER + order.to_bytes())
+        self._send("order", order)
 
     def wait(self, until: float) -> list[Any]:
         """Wait until a time [s], and return the reports that came."""
@@ -186,27 +180,22 @@ class SenderProcess:
                 self._lost = True
                 return
             self._heard = time.monotonic()
-            kind = data[:1]
-            content = data[1:]
-            if kind == _REPORT:
-                report = np.frombuffer(content, REPORT)[0]
-                self._state = State(int(report["state"]))
-                self._reports.append(report)
-                continue
-            said = json.loads(content)
-            if kind == _ANSWER:
-                self._answer = {"is": said}
-            elif kind == _ERROR:
-                self._failure = said[0], said[1]
-            elif kind == _TAKEN_OVER:
-                self._taken_over = said
-            elif kind == _ENDING:
-                self._ending = said
+            match pickle.loads(data):
+                case "report", content:
+                    report = np.frombuffer(content, REPORT)[0]
+                    self._state = State(int(report["state"]))
+                    self._reports.append(report)
+                case "answer", content:
+                    self._answers.append(content)
+                case "taken over", content:
+                    self._taken_over = content
+                case "ending", content:
+                    self._ending = content
 
     def damp(self) -> None:
         """Have the robot damped, by one message."""
         self._damps = True
-        self._send(_DAMP)
+        self._send("damp")
 
     @property
     def left(self) -> bool:
@@ -259,14 +248,6 @@ class SenderProcess:
             self._process.wait()
 
 
-def _error(name: str, text: str) -> MimicError:
-    """Return an error of a class of `mimic.errors`, whatever its constructor takes."""
-    kind: type[MimicError] = getattr(errors, name, PlantError)
-    error = kind.__new__(kind)
-    Exception.__init__(error, text)
-    return error
-
-
 # ------------------------------------------------------------------ the process itself
 
 
@@ -291,7 +272,7 @@ class _Server:
                 return
         if self._orders is not None:
             self._orders.settimeout(READ_WITHIN)
-            self._say(_ENDING, json.dumps(sender.ending).encode())
+            self._say("ending", sender.ending)
 
     def _turn(self) -> None:
         sender = self._sender
@@ -301,17 +282,17 @@ class _Server:
         if slept > BEHIND and sender.state == State.DRIVE:
             sender.damp(f"this computer slept for {slept:.1f} s")
         if report is not None:
-            self._say(_REPORT, report.tobytes())
+            self._say("report", report.tobytes())
         self._take()
         if sender.reason and not self._told:
             self._told = True
-            self._say(_TAKEN_OVER, json.dumps(sender.reason).encode())
+            self._say("taken over", sender.reason)
 
-    def _say(self, kind: bytes, content: bytes) -> None:
+    def _say(self, kind: str, content: Any) -> None:
         if self._orders is None:
             return
         with suppress(BlockingIOError, OSError):  # who does not read is busy, stopped or gone; reading finds that
-            self._orders.send(kind + content)
+            self._orders.send(packed(kind, content))
 
     def _take(self) -> None:
         """Take all that has come."""
@@ -326,30 +307,23 @@ class _Server:
                 self._orders = None
                 self._sender.closed()
                 return
-            self._handle(data[:1], data[1:])
-
-    def _handle(self, kind: bytes, content: bytes) -> None:
-        sender = self._sender
-        try:
-            if kind == _ORDER:
-                sender.order(Order.from_bytes(content))
-            elif kind == _DAMP:
-                sender.finish()
-            elif kind == _CHECK:
-                found = sender.driver.checks(CheckOptions(**json.loads(content)))
-                self._say(_ANSWER, json.dumps([asdict(check) for check in found]).encode())
-            elif kind == _START:
-                sender.start(suspended=json.loads(content))
-                self._say(_ANSWER, json.dumps(True).encode())
-        except Exception as reason:
-            if kind in (_ORDER, _DAMP):
-                sender.fail(reason)
+            (kind, content) = pickle.loads(data)
+            if kind == "order":
+                self._sender.order(content)
+            elif kind == "damp":
+                self._sender.finish()
             else:
-                self._say(_ERROR, _failure(reason))
+                self._say("answer", self._answer(kind, content))
 
-
-def _failure(reason: Exception) -> bytes:
-    return json.dumps([type(reason).__name__, str(reason)]).encode()
+    def _answer(self, kind: str, content: Any) -> Any:
+        """Return what a request leads to, or what stands against it."""
+        try:
+            if kind == "check":
+                return self._sender.driver.checks(content)
+            self._sender.start(suspended=content)
+        except Exception as reason:
+            return reason if isinstance(reason, MimicError) else PlantError(str(reason))
+        return True
 
 
 def _clocks_apart() -> float:
@@ -373,9 +347,9 @@ def main(arguments: list[str]) -> int:
             sender = Sender(driver, description)
         except MimicError as reason:
             with suppress(OSError):
-                orders.send(_ERROR + _failure(reason))
+                orders.send(packed("answer", reason))
             return 2
-        orders.send(_ANSWER + json.dumps(True).encode())
+        orders.send(packed("answer", True))
         _Server(orders, sender).run()
         with suppress(Exception):
             driver.close()

@@ -23,7 +23,7 @@ import numpy as np
 from mimic.errors import FrameError, MimicError
 from mimic.frozen import frozen_arrays
 from mimic.hardware.robot.driver import Driver
-from mimic.records import JOINTS, FloatArray, JointCommand
+from mimic.records import FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
 ORDER_TIMEOUT = 0.1
@@ -71,25 +71,6 @@ class Order:
     command: JointCommand
     begin: float
     """When its control step was planned to begin [s]; the parts of an interpolated command keep to it."""
-
-    def to_bytes(self) -> bytes:
-        """Return it as bytes."""
-        c = self.command
-        numbers = np.zeros((6, len(JOINTS)))
-        numbers[:5] = (c.q_des, c.dq_des, c.kp, c.kd, c.tau_ff)
-        numbers[5, :2] = (c.ramp, self.begin)
-        return numbers.tobytes()
-
-    @staticmethod
-    def from_bytes(data: bytes) -> Order:
-        """Return an order from its bytes.
-
-        Raises:
-            ValueError: If they are none.
-        """
-        q, dq, kp, kd, tau, more = np.frombuffer(data).reshape(6, len(JOINTS))
-        command = JointCommand(q_des=q, dq_des=dq, kp=kp, kd=kd, tau_ff=tau, ramp=float(more[0]))
-        return Order(command=command, begin=float(more[1]))
 
 
 def why_lost(reason: str) -> str:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
+import pickle
 import socket
-from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from mimic.errors import BusError, PlantError
 from mimic.hardware.robot import process
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import REPORT, CheckOptions, DriverSettings
-from mimic.hardware.robot.process import SenderProcess
+from mimic.hardware.robot.process import SenderProcess, packed
 from mimic.hardware.robot.sender import State
 
 READS = 30
@@ -30,21 +29,21 @@ class Played:
         self.theirs = socket.socket(fileno=os.dup(pass_fds[0]))
         self.theirs.setblocking(False)
         self.killed = False
-        self.says(b"A", None)
+        self.says("answer", None)
 
-    def says(self, kind: bytes, what: object) -> None:
-        self.theirs.send(kind + json.dumps(what).encode())
+    def says(self, kind: str, what: object) -> None:
+        self.theirs.send(packed(kind, what))
 
     def reports(self, state: State) -> None:
         report = np.zeros(1, REPORT)
         report["state"] = state
-        self.theirs.send(b"R" + report.tobytes())
+        self.says("report", report.tobytes())
 
-    def heard(self) -> list[bytes]:
+    def heard(self) -> list[tuple[str, object]]:
         found = []
         while True:
             try:
-                found.append(self.theirs.recv(1 << 17))
+                found.append(pickle.loads(self.theirs.recv(1 << 17)))
             except BlockingIOError:
                 return found
 
@@ -79,22 +78,21 @@ def played(monkeypatch, description):
 def test_a_request_goes_out_and_its_answer_comes_back(played):
     link, sender = played
     found = Check("motors", "ok", "all twelve")
-    sender.says(b"A", [asdict(found)])
+    sender.says("answer", [found])
     assert link.checks(CheckOptions(rate_hz=50.0)) == [found]
     (request,) = sender.heard()
-    assert request[:1] == b"C"
-    assert json.loads(request[1:])["rate_hz"] == 50.0
-    sender.says(b"A", None)
+    assert request == ("check", CheckOptions(rate_hz=50.0))
+    sender.says("answer", None)
     link.start(suspended=True)
-    assert sender.heard() == [b"Strue"]
+    assert sender.heard() == [("start", True)]
 
 
 def test_what_the_sender_raises_is_raised_once_with_its_class_and_words(played):
     link, sender = played
-    sender.says(b"E", ["BusError", "nobody listens"])
+    sender.says("answer", BusError("nobody listens"))
     with pytest.raises(BusError, match="nobody listens"):
         link.start()
-    sender.says(b"A", None)
+    sender.says("answer", None)
     link.start()
 
 
@@ -124,7 +122,7 @@ def test_reports_are_handed_over_once_and_a_damped_robot_takes_no_orders(played)
 
 def test_why_the_sender_took_over_is_the_problem(played):
     link, sender = played
-    sender.says(b"D", "no order for 0.1 s")
+    sender.says("taken over", "no order for 0.1 s")
     link.wait(0.0)
     assert "no order for 0.1 s" in link.problem
 
@@ -133,12 +131,12 @@ def test_finishing_has_the_robot_damped_and_returns_how_it_was_left(played):
     link, sender = played
     assert link.finish() == "nothing was switched on"
     assert sender.heard() == []
-    sender.says(b"A", None)
+    sender.says("answer", None)
     link.start()
     sender.heard()
-    sender.says(b"T", "the robot was damped and all motors are off")
+    sender.says("ending", "the robot was damped and all motors are off")
     assert link.finish() == "the robot was damped and all motors are off"
-    assert sender.heard() == [b"D"]
+    assert sender.heard() == [("damp", None)]
     assert not sender.killed
 
 
@@ -158,7 +156,7 @@ class Direct:
 @pytest.mark.parametrize("ends", [False, True])
 def test_a_sender_that_hangs_or_has_ended_is_killed_and_the_robot_damped_from_here(ends, played, monkeypatch):
     link, sender = played
-    sender.says(b"A", None)
+    sender.says("answer", None)
     link.start()
     driver = Direct()
 
@@ -178,7 +176,7 @@ def test_a_sender_that_hangs_or_has_ended_is_killed_and_the_robot_damped_from_he
 
 def test_where_the_robot_cannot_be_opened_any_more_it_says_to_cut_the_power(played, monkeypatch):
     link, sender = played
-    sender.says(b"A", None)
+    sender.says("answer", None)
     link.start()
     tries = []
 
