@@ -7,8 +7,8 @@ from typing import Any
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.wiring import Wiring
-from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import CheckOptions, Driver
+from mimic.hardware.robot.checks import Check, CheckOptions
+from mimic.hardware.robot.driver import Driver
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.sender import Order, Sender, State, why_lost
 from mimic.robot.description import RobotDescription

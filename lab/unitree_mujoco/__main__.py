@@ -37,8 +37,7 @@ from mimic.flows.play import load_source, play
 from mimic.hardware.go2.driver import Go2Driver
 from mimic.hardware.go2.messages import LOWCMD, LOWSTATE, blank, encode
 from mimic.hardware.go2.wiring import load_go2
-from mimic.hardware.robot.checks import refuse
-from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.checks import CheckOptions, refuse
 from mimic.hardware.robot.plant import Robot
 from mimic.io.assets import shipped
 from mimic.policy.runtime import load_policy

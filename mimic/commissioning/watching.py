@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.other_programs import holding, others
@@ -75,3 +79,14 @@ class Watcher(CanDriver):
             f"{motor_bus.errors} frames made no sense" * bool(motor_bus.errors),
         ]
         return [note for note in notes if note]
+
+
+def newest(report: Any, since: float) -> Any:
+    """Return a report with NaN for joints, and for an IMU, that said nothing after a time [s]."""
+    report = report.copy()
+    came = report["came"] if np.isfinite(report["came"]).any() else report["heard"]
+    for name in ("q", "dq", "tau", "temperature"):
+        report[name] = np.where(came > since, report[name], np.nan)
+    for name in ("quat_WB", "omega_B"):
+        report[name] = report[name] if report["imu_came"] > since else np.nan
+    return report

@@ -9,12 +9,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mimic.commissioning.scan import BusScan
-from mimic.commissioning.watching import Watcher
+from mimic.commissioning.watching import Watcher, newest
 from mimic.errors import PlantError
 from mimic.frozen import frozen
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.wiring import Wiring
-from mimic.hardware.robot.driver import newest
 from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
 

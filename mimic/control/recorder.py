@@ -237,8 +237,10 @@ class Journal:
 
     def samples(self) -> JointSamples | None:
         """Return the joints faster than the control rate, where the plant records them."""
-        columns = {f.name: [getattr(part, f.name) for part in self._samples] for f in fields(JointSamples)}
-        return JointSamples(**{name: np.concatenate(v) for name, v in columns.items()}) if self._samples else None
+        columns = {}
+        for f in fields(JointSamples) if self._samples else ():
+            columns[f.name] = np.concatenate([getattr(part, f.name) for part in self._samples])
+        return JointSamples(**columns) if columns else None
 
     def health_columns(self) -> dict[str, Any]:
         """Return the columns of the HealthLog."""

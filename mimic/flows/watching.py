@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mimic.commissioning.watching import Watcher, newest
 from mimic.config.hardware import LookSettings
 from mimic.errors import BusError
 from mimic.flows.play import robot_on
@@ -17,7 +18,7 @@ from mimic.geometry import rpy_from_quat
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.zeros import zero_problems
 from mimic.hardware.robot.board_wiring import BOARDS
-from mimic.hardware.robot.driver import SILENT, newest
+from mimic.hardware.robot.driver import SILENT
 from mimic.hardware.robot.opening import open_driver
 from mimic.hardware.session import driver_settings, open_session
 from mimic.records import FloatArray
@@ -123,8 +124,6 @@ def _opened(bus_url: str, bus: LookSettings, description: RobotDescription) -> I
         with closing(open_driver(driver_settings(bus_url, bus, description))) as board:
             yield board
         return
-    from mimic.commissioning.watching import Watcher
-
     with ExitStack() as stack:
         try:
             stack.enter_context(bus_lock(bus_url))

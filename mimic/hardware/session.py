@@ -19,8 +19,8 @@ from mimic.hardware.can.wiring import Wiring, load_wiring
 from mimic.hardware.can.zeros import Homing, homing_file, read_homing, with_homing
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.robot.board_wiring import BOARDS
-from mimic.hardware.robot.checks import Check, before_moving, refuse
-from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings
+from mimic.hardware.robot.checks import Check, CheckOptions, before_moving, refuse
+from mimic.hardware.robot.driver import Driver, DriverSettings
 from mimic.hardware.robot.opening import open_driver
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.process import SenderProcess

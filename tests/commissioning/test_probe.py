@@ -22,7 +22,7 @@ from mimic.errors import PlantError
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.interface import MotorMode
-from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.checks import CheckOptions
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.stock.driver import StockDriver
 from mimic.hardware.stock.wiring import load_board

@@ -15,6 +15,7 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import CanFrame, Received
 from mimic.hardware.can.load import frame_bits
+from mimic.hardware.can.preflight import position_range
 from mimic.hardware.can.wiring import Wiring, load_wiring
 from mimic.hardware.motors.cybergear.codec import (
     CAN_TIMEOUT,
@@ -204,7 +205,7 @@ def test_motors_of_the_other_position_range_can_be_found_out(description):
     made.listen(0.1)
     q = made.ask(HostMessage(Kind.STOP, 3)).q
     assert abs(q) > 9.0
-    assert wiring.motors().check_range(q, made.read(KNEE, MECH_POS)) == 12.5
+    assert position_range(wiring.motors().facts, wiring.position_range, q, made.read(KNEE, MECH_POS)) == 12.5
 
 
 # ---------------------------------------------------------------------- moving

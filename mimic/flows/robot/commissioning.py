@@ -21,8 +21,7 @@ from mimic.hardware.can.preflight import at_rest
 from mimic.hardware.can.zeros import homing_file, uneven
 from mimic.hardware.go2.driver import RESTED
 from mimic.hardware.robot.board_wiring import BOARDS
-from mimic.hardware.robot.checks import Check, refuse
-from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.checks import Check, CheckOptions, refuse
 from mimic.hardware.robot.sender import Sender
 from mimic.hardware.session import open_robot, open_session, robot_session, wiring_of
 from mimic.io import store

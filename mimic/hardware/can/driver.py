@@ -17,8 +17,8 @@ from mimic.hardware.can.zeros import Homing
 from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import MotorMode, Register
-from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import ALL, CheckOptions, no_report
+from mimic.hardware.robot.checks import Check, CheckOptions
+from mimic.hardware.robot.driver import ALL, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand, joint_names
 from mimic.robot.description import RobotDescription
 

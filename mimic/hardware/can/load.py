@@ -24,6 +24,9 @@ IMU_MESSAGE = {
 MAX_LOAD = 0.9
 """Share of a bus above which frames pile up when they have more stuffed bits than on average."""
 
+_COUNT_EVERY = 16
+"""One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
+
 
 def expected_load(wiring: Wiring, rate_hz: float) -> FloatArray:
     """Return the expected share of each bus's time (buses,).
@@ -98,6 +101,24 @@ def frame_bits(frame: CanFrame) -> int:
     crc = _check_sum(value, bits)
     stuffed = _stuffed(value << 15 | crc, bits + 15)
     return bits + 15 + stuffed + _UNSTUFFED
+
+
+class BitCount:
+    """Bits on each bus so far."""
+
+    def __init__(self, buses: int) -> None:
+        self.bits: FloatArray = np.zeros(buses)
+        """Of each bus (buses,)."""
+        self._frames = 0
+        self._of_kind: dict[tuple[int, int], int] = {}
+
+    def add(self, bus: int, frame: CanFrame) -> None:
+        """Count a frame; of most, as many as the last one of its kind had."""
+        kind = (len(frame.data), frame.id >> 24 if frame.extended else frame.id)
+        if kind not in self._of_kind or self._frames % _COUNT_EVERY == 0:
+            self._of_kind[kind] = frame_bits(frame)
+        self._frames += 1
+        self.bits[bus] += self._of_kind[kind]
 
 
 def _check_sum(value: int, bits: int) -> int:

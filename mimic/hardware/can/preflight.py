@@ -13,11 +13,13 @@ from mimic.hardware.can.step_budget import SPARE, step_budget
 from mimic.hardware.can.zeros import Homing, uneven, zero_problems
 from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
-from mimic.hardware.motors.interface import MotorMode, Register
-from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, Verdict, imu_checks, pose_check
-from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.motors.interface import MotorFacts, MotorMode, Register
+from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, CheckOptions, Verdict, imu_checks, pose_check
 from mimic.records import DOUBLED, JOINTS, FloatArray, joint_names
 from mimic.robot.description import RobotDescription
+
+RANGE_TOLERANCE = 0.02
+"""Two words of a position, and what a held joint moves between two readings [rad]."""
 
 WARM = 45.0
 """Pre-flight mentions a motor this warm [degC]."""
@@ -170,6 +172,31 @@ def _voltage(motor_bus: MotorBus) -> Found:
     return "ok", text
 
 
+def position_range(facts: MotorFacts, used: float, q: float, exact: float) -> float | None:
+    """Return the end of the position range that a motor uses [rad], or None where two readings cannot show it.
+
+    Args:
+        facts: Of the motor.
+        used: End of the range with which q was decoded [rad].
+        q: Position of a feedback [rad].
+        exact: Register POSITION, read at the same place [rad].
+
+    Raises:
+        FrameError: If no known range explains both readings.
+    """
+    wrong = {end: abs(q / used * end - exact) for end in facts.position_ranges}
+    if not wrong:
+        return None
+    best, *others = sorted(wrong, key=wrong.__getitem__)
+    if wrong[best] > RANGE_TOLERANCE:
+        register = facts.registers[Register.POSITION]
+        raise FrameError(
+            f"the position is {q:.3f} rad in the feedback and {exact:.3f} rad in {register}; no known "
+            "position range explains that. Was the joint moving, or the position beyond the range?"
+        )
+    return best if all(wrong[other] > 2 * RANGE_TOLERANCE for other in others) else None
+
+
 def _range(motor_bus: MotorBus) -> Found:
     motors = motor_bus.motors
     used = motor_bus.wiring.position_range
@@ -181,7 +208,7 @@ def _range(motor_bus: MotorBus) -> Found:
         if feedback is None or np.isnan(exact[joint]):
             continue
         try:
-            end = motors.check_range(feedback.q, float(exact[joint]))
+            end = position_range(motors.facts, used, feedback.q, float(exact[joint]))
         except FrameError as reason:
             return "stop", f"{JOINTS[joint]}: {reason}"
         confirmed += end is not None

@@ -30,8 +30,8 @@ from mimic.hardware.go2.messages import (
 )
 from mimic.hardware.go2.wiring import Go2Wiring, load_go2
 from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, PERIOD, BoardDriver
-from mimic.hardware.robot.checks import LYING_TOLERANCE, Check
-from mimic.hardware.robot.driver import CheckOptions, DriverSettings
+from mimic.hardware.robot.checks import LYING_TOLERANCE, Check, CheckOptions
+from mimic.hardware.robot.driver import DriverSettings
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from mimic.errors import BusError, FrameError, UnknownFrame
 from mimic.hardware.can.frame import CanFrame, Link, Received
-from mimic.hardware.can.load import frame_bits
+from mimic.hardware.can.load import BitCount
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.motors.imu import Imu, make_imu
 from mimic.hardware.motors.interface import (
@@ -49,9 +49,6 @@ ECHO_AT_ONCE = 0.05
 """An own frame, known by its bus, id and bytes, that comes back within this is an echo of the adapter [s]."""
 ECHO_WITHIN = 0.5
 """The same for a command, which others hardly send alike [s]."""
-
-_COUNT_EVERY = 16
-"""One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
 
 _MOST_UNKNOWN = 1000
 """Identifiers of unknown senders that are remembered."""
@@ -101,13 +98,10 @@ class MotorBus:
         """Unique numbers of motors that told theirs, by joint."""
         self._owed = np.zeros(len(JOINTS), dtype=int)
         self._unasked = np.zeros(len(JOINTS), dtype=int)
-        self.bits: FloatArray = np.zeros(wiring.buses)
-        """Bits on each bus so far, as this computer saw the frames (buses,)."""
+        self._load = BitCount(wiring.buses)
         self.taken: FloatArray = np.full(wiring.buses, link.now())
         self.heard: FloatArray = np.full(wiring.buses, link.now())
         """When each bus took, and said, anything last (buses,) [s]."""
-        self._frames = 0
-        self._bits_of_kind: dict[tuple[int, int], int] = {}
 
     # ------------------------------------------------------------------ frames
 
@@ -120,7 +114,7 @@ class MotorBus:
         bus = int(self.wiring.bus[joint])
         self.link.send(bus, frame)
         self.taken[bus] = self.link.now()
-        self._count_bits(bus, frame)
+        self._load.add(bus, frame)
         self._remember(bus, frame, echo_within)
         self._owed[joint] = min(self._owed[joint] + 1, _OWED)
 
@@ -138,12 +132,10 @@ class MotorBus:
         """Return the id of a joint's motor."""
         return int(self.wiring.motor[joint])
 
-    def _count_bits(self, bus: int, frame: CanFrame) -> None:
-        kind = (len(frame.data), frame.id >> 24 if frame.extended else frame.id)
-        if kind not in self._bits_of_kind or self._frames % _COUNT_EVERY == 0:
-            self._bits_of_kind[kind] = frame_bits(frame)
-        self._frames += 1
-        self.bits[bus] += self._bits_of_kind[kind]
+    @property
+    def bits(self) -> FloatArray:
+        """Bits on each bus so far, as this computer saw the frames (buses,)."""
+        return self._load.bits
 
     @property
     def errors(self) -> int:
@@ -154,7 +146,7 @@ class MotorBus:
         """Keep what a frame says."""
         bus, frame, t = received
         self.heard[bus] = t
-        self._count_bits(bus, frame)
+        self._load.add(bus, frame)
         try:
             if bus == self.wiring.imu.bus and self.imu.feed(frame, t):
                 return

@@ -155,6 +155,8 @@ class MotorFacts:
     """Resolution of a position in a feedback [rad]."""
     position_bias: float
     """What to add to a position of a feedback to get its mean [rad]: half a step if the motor rounds down, else 0."""
+    position_ranges: tuple[float, ...] = ()
+    """Ends of the position range that are in circulation [rad], where it is not known which one a motor uses."""
     registers: Mapping[Register, str]
     """Registers that the motor has, with the maker's name of each."""
     impedance_mode: float = 0.0
@@ -231,34 +233,6 @@ class MotorProtocol(Protocol):
         """
         ...
 
-    def check_range(self, q: float, exact: float) -> float | None:
-        """Return the end of the position range that a motor uses [rad], or None where two readings cannot show it.
-
-        Args:
-            q: Position of a feedback [rad].
-            exact: Register POSITION, read at the same place [rad].
-
-        Raises:
-            FrameError: If no known range explains both readings.
-        """
-        ...
-
     def fault_names(self, faults: int) -> str:
         """Return the names of fault bits, for messages."""
-        ...
-
-
-class MotorMaker(Protocol):
-    """Makes the protocol of a maker's motors; the class itself does."""
-
-    def __call__(self, *, host: int, position_range: float) -> MotorProtocol:
-        """Return the protocol.
-
-        Args:
-            host: Id of this computer.
-            position_range: Positions on the bus reach from minus this to plus this [rad].
-
-        Raises:
-            ConfigError: If these motors cannot have such a range.
-        """
         ...

@@ -3,10 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 from mimic.errors import ConfigError
 from mimic.hardware.motors.cybergear.protocol import CyberGear
-from mimic.hardware.motors.interface import MotorMaker, MotorProtocol
+from mimic.hardware.motors.interface import MotorProtocol
+
+
+class MotorMaker(Protocol):
+    """Makes the protocol of a maker's motors; the class itself does."""
+
+    def __call__(self, *, host: int, position_range: float) -> MotorProtocol:
+        """Return the protocol.
+
+        Args:
+            host: Id of this computer.
+            position_range: Positions on the bus reach from minus this to plus this [rad].
+
+        Raises:
+            ConfigError: If these motors cannot have such a range.
+        """
+        ...
+
 
 MAKERS: Mapping[str, MotorMaker] = {"cybergear": CyberGear}
 

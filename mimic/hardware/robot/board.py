@@ -16,8 +16,8 @@ import numpy as np
 
 from mimic.errors import BusError, ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
-from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, imu_checks, pose_check
-from mimic.hardware.robot.driver import NEVER, SILENT, CheckOptions, no_report
+from mimic.hardware.robot.checks import HOT, LYING_TOLERANCE, Check, CheckOptions, imu_checks, pose_check
+from mimic.hardware.robot.driver import NEVER, SILENT, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from mimic.errors import PlantError
+from mimic.frozen import frozen
 from mimic.geometry import rotation_from_quat
 from mimic.records import JOINTS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
@@ -48,6 +49,18 @@ class Check:
     name: str
     verdict: Verdict
     text: str
+
+
+@frozen
+class CheckOptions:
+    """What the pre-flight needs to know of the run."""
+
+    rate_hz: float
+    """Commands a second to each motor [Hz]."""
+    suspended: bool = False
+    """The robot hangs in the air instead of lying on the floor."""
+    inference: float | None = None
+    """Time that the policy takes on this computer [s]; None where no policy drives the robot."""
 
 
 @contextmanager

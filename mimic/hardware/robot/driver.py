@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mimic.frozen import frozen
-from mimic.hardware.robot.checks import Check
+from mimic.hardware.robot.checks import Check, CheckOptions
 from mimic.records import JOINTS, JointCommand
 
 ALL = tuple(range(len(JOINTS)))
@@ -22,37 +22,18 @@ NEVER = -np.inf
 BUSES = 12
 """Most buses of a robot."""
 
+_UNKNOWN = {"q": 12, "dq": 12, "tau": 12, "temperature": 12, "q_sent": 12, "kp_sent": 12, "kd_sent": 12, "quat_WB": 4}
+_UNKNOWN |= {"omega_B": 3, "voltage": (), "round_trip": (), "busy": BUSES}
+"""Numbers that are NaN until somebody says them, and their shapes."""
+
+_TIMES = {"heard": (), "came": 12, "imu_came": (), "imu_changed": ()}
+
+_COUNTS = {"state": (), "sent": (), "faults": 12, "running": 12, "imu_count": (), "imu_valid": (), "readings": ()}
+_COUNTS |= {"errors": (), "foreign": (), "err_flag": ()}
+
 REPORT = np.dtype(
-    [
-        ("t", "f8"),
-        ("state", "i8"),
-        ("sent", "i8"),
-        ("heard", "f8"),
-        ("q", "f8", 12),
-        ("dq", "f8", 12),
-        ("tau", "f8", 12),
-        ("came", "f8", 12),
-        ("faults", "i8", 12),
-        ("running", "i8", 12),
-        ("temperature", "f8", 12),
-        ("q_sent", "f8", 12),
-        ("kp_sent", "f8", 12),
-        ("kd_sent", "f8", 12),
-        ("quat_WB", "f8", 4),
-        ("omega_B", "f8", 3),
-        ("imu_came", "f8"),
-        ("imu_changed", "f8"),
-        ("imu_count", "i8"),
-        ("imu_valid", "i8"),
-        ("readings", "i8"),
-        ("errors", "i8"),
-        ("foreign", "i8"),
-        ("err_flag", "i8"),
-        ("gap", "f8"),
-        ("voltage", "f8"),
-        ("round_trip", "f8"),
-        ("busy", "f8", BUSES),
-    ]
+    [(name, "f8", shape) for name, shape in {"t": (), "gap": (), **_UNKNOWN, **_TIMES}.items()]
+    + [(name, "i8", shape) for name, shape in _COUNTS.items()]
 )
 """The newest readings of a robot, in joint order and sign, and when each came on the monotonic clock [s].
 
@@ -65,12 +46,9 @@ other programs, ``err_flag`` and ``gap`` [s] are a motion board's, ``busy`` is f
 def no_report() -> Any:
     """Return a report without any reading: a scalar of REPORT."""
     report: Any = np.zeros((), REPORT)
-    for name in ("heard", "came", "imu_came", "imu_changed"):
+    for name in _TIMES:
         report[name] = NEVER
-    for name in (
-        *("q", "dq", "tau", "temperature", "q_sent", "kp_sent", "kd_sent", "quat_WB", "omega_B"),
-        *("voltage", "round_trip", "busy"),
-    ):
+    for name in _UNKNOWN:
         report[name] = np.nan
     report["imu_valid"] = -1
     return report
@@ -78,29 +56,6 @@ def no_report() -> Any:
 
 SILENT = 0.5
 """Who has said nothing for this long is shown as silent [s]."""
-
-
-def newest(report: Any, since: float) -> Any:
-    """Return a report with NaN for joints, and for an IMU, that said nothing after a time [s]."""
-    report = report.copy()
-    came = report["came"] if np.isfinite(report["came"]).any() else report["heard"]
-    for name in ("q", "dq", "tau", "temperature"):
-        report[name] = np.where(came > since, report[name], np.nan)
-    for name in ("quat_WB", "omega_B"):
-        report[name] = report[name] if report["imu_came"] > since else np.nan
-    return report
-
-
-@frozen
-class CheckOptions:
-    """What the pre-flight needs to know of the run."""
-
-    rate_hz: float
-    """Commands a second to each motor [Hz]."""
-    suspended: bool = False
-    """The robot hangs in the air instead of lying on the floor."""
-    inference: float | None = None
-    """Time that the policy takes on this computer [s]; None where no policy drives the robot."""
 
 
 class Driver(Protocol):

@@ -25,8 +25,8 @@ import numpy as np
 
 from mimic.control.priority import SENDER, real_time
 from mimic.errors import MimicError, PlantError
-from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import REPORT, CheckOptions, DriverSettings
+from mimic.hardware.robot.checks import Check, CheckOptions
+from mimic.hardware.robot.driver import REPORT, DriverSettings
 from mimic.hardware.robot.opening import load_driver, open_driver
 from mimic.hardware.robot.sender import GIVE_UP, Order, Sender, State, why_lost
 from mimic.robot.description import RobotDescription, load_description

@@ -31,7 +31,7 @@ from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind
 from mimic.hardware.motors.interface import Feedback, MotorCommand, MotorMode
-from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.checks import CheckOptions
 from mimic.hardware.robot.plant import Robot
 from mimic.records import DOUBLED, PHASES, JointCommand
 

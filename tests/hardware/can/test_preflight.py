@@ -19,8 +19,7 @@ from mimic.hardware.can.zeros import with_homing
 from mimic.hardware.motors import registers
 from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.motors.interface import Register
-from mimic.hardware.robot.checks import Check, feet_normal
-from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.checks import Check, CheckOptions, feet_normal
 
 WIRING = load_wiring()
 

@@ -16,7 +16,7 @@ from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.step_budget import PARTS, SPARE, step_budget
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.bus import MotorBus
-from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.checks import CheckOptions
 from mimic.hardware.robot.plant import Robot
 from mimic.records import JointCommand
 

@@ -16,8 +16,7 @@ from mimic.errors import FrameError, PlantError, SenderError
 from mimic.hardware.go2.driver import GONE_ON, RESTED, UNREACHED, Go2Driver
 from mimic.hardware.go2.messages import LOWCMD, LOWSTATE, blank, decode, encode
 from mimic.hardware.go2.wiring import load_go2
-from mimic.hardware.robot.checks import refuse
-from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.checks import CheckOptions, refuse
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.sender import Sender, State
 from mimic.records import JOINTS, JointCommand

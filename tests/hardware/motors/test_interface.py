@@ -13,6 +13,7 @@ import pytest
 from mimic.errors import ConfigError, FrameError, UnknownFrame
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.load import frame_bits
+from mimic.hardware.can.preflight import position_range
 from mimic.hardware.motors.bus import REPORTED
 from mimic.hardware.motors.cybergear.protocol import CyberGear
 from mimic.hardware.motors.interface import (
@@ -21,14 +22,13 @@ from mimic.hardware.motors.interface import (
     Feedback,
     Identity,
     MotorCommand,
-    MotorMaker,
     MotorMode,
     MotorProtocol,
     OtherHost,
     Register,
     RegisterValue,
 )
-from mimic.hardware.motors.makers import MAKERS, make_motors
+from mimic.hardware.motors.makers import MAKERS, MotorMaker, make_motors
 
 ROOT = Path(__file__).parents[3]
 
@@ -257,7 +257,7 @@ def test_the_length_of_a_command_on_the_bus_is_that_of_the_facts(motors):
 
 
 def test_near_zero_two_readings_cannot_show_the_position_range(motors):
-    assert motors.check_range(0.0, 0.0) is None
+    assert position_range(motors.facts, 12.5, 0.0, 0.0) is None
 
 
 def test_every_fault_bit_has_a_name(motors):

@@ -26,7 +26,8 @@ from mimic.errors import BusError, ConfigError, MimicError, SenderError
 from mimic.flows.watching import watch_robot
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.robot import process
-from mimic.hardware.robot.driver import CheckOptions, DriverSettings
+from mimic.hardware.robot.checks import CheckOptions
+from mimic.hardware.robot.driver import DriverSettings
 from mimic.hardware.robot.opening import open_driver
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.process import SenderProcess

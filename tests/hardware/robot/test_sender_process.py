@@ -11,8 +11,8 @@ import pytest
 
 from mimic.errors import BusError, PlantError
 from mimic.hardware.robot import process
-from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import REPORT, CheckOptions, DriverSettings
+from mimic.hardware.robot.checks import Check, CheckOptions
+from mimic.hardware.robot.driver import REPORT, DriverSettings
 from mimic.hardware.robot.process import SenderProcess, packed
 from mimic.hardware.robot.sender import State
 

@@ -15,8 +15,7 @@ from mimic.control.tick import Safety
 from mimic.emulator.boards.board import EmulatedBoard
 from mimic.emulator.faults import parse_fault
 from mimic.errors import PlantError, SenderError
-from mimic.hardware.robot.checks import refuse
-from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.checks import CheckOptions, refuse
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.stock.driver import StockDriver
 from mimic.hardware.stock.messages import MOTOR_CTRL

@@ -125,7 +125,7 @@ TEMPERATURE = (0.0, 6553.5)
 
 POSITION_RANGES = (4 * math.pi, 12.5)
 """The two ends of the position range that are in circulation [rad]: the manual's tables and ten libraries split between
-them. The scale differs by 0.53 %; ``CyberGear.check_range`` finds which one a motor uses."""
+them. The scale differs by 0.53 %; pre-flight finds which one a motor uses."""
 
 WORDS = 65535
 """Steps in the range of a quantity."""
@@ -134,6 +134,10 @@ _ROUNDING = 1e-6
 FAULT_ORDER: Literal["little"] = "little"
 """Byte order of fault reports. Libraries disagree, and the manual does not say; parameters are little-endian."""
 _PACK = {"u8": "<B3x", "u32": "<I", "f32": "<f"}
+
+
+Range = tuple[float, float]
+"""Ends of what a word can hold."""
 
 
 def to_word(value: float, low: float, high: float) -> int:
@@ -147,9 +151,9 @@ def to_word(value: float, low: float, high: float) -> int:
     return int((min(max(value, low), high) - low) * WORDS / (high - low) + _ROUNDING)
 
 
-def from_word(word: int, low: float, high: float) -> float:
-    """Return the quantity of a word."""
-    return low + word * (high - low) / WORDS
+def _quantities(words: tuple[int, ...], ranges: tuple[Range, ...]) -> list[float]:
+    """Return the quantities of words, each in its range."""
+    return [low + word * (high - low) / WORDS for word, (low, high) in zip(words, ranges, strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,9 +208,13 @@ class Codec:
             raise ConfigError(f"position_range is {self.position_range:g} rad; expected 4 pi = 12.566 or 12.5")
 
     @property
-    def position(self) -> tuple[float, float]:
+    def position(self) -> Range:
         """Range of positions [rad]."""
         return -self.position_range, self.position_range
+
+    @property
+    def _command(self) -> tuple[Range, ...]:
+        return self.position, VELOCITY, KP, KD, TORQUE
 
     def encode(self, m: HostMessage) -> CanFrame:
         """Return the frame of a message.
@@ -220,9 +228,7 @@ class Codec:
         match m.kind:
             case Kind.OPERATION:
                 assert m.command is not None
-                q, dq, kp, kd, tau = m.command
-                words = (to_word(q, *self.position), to_word(dq, *VELOCITY), to_word(kp, *KP), to_word(kd, *KD))
-                area = to_word(tau, *TORQUE)
+                *words, area = (to_word(number, *ends) for number, ends in zip(m.command, self._command, strict=True))
                 data = struct.pack(">4H", *words)
             case Kind.STOP:
                 data = bytes([m.value == 1]) + bytes(7)
@@ -270,18 +276,13 @@ class Codec:
             raise UnknownFrame(f"{frame} comes from the id {motor}; motors have ids below {MOTOR_IDS}")
         said: Feedback | ParameterValue | Identity | FaultReport
         if kind is Kind.FEEDBACK:
-            q, dq, tau, heat = struct.unpack(">4H", data)
+            ranges = (self.position, VELOCITY, TORQUE, TEMPERATURE)
+            q, dq, tau, temperature = _quantities(struct.unpack(">4H", data), ranges)
             if area >> 14 == 3:
                 raise FrameError(f"{frame} has mode 3; a motor has modes 0 to 2")
-            said = Feedback(
-                motor=motor,
-                q=from_word(q, *self.position),
-                dq=from_word(dq, *VELOCITY),
-                tau=from_word(tau, *TORQUE),
-                temperature=from_word(heat, *TEMPERATURE),
-                mode=MotorMode(area >> 14),
-                faults=area >> 8 & 0x3F,
-            )
+            mode = MotorMode(area >> 14)
+            faults = area >> 8 & 0x3F
+            said = Feedback(motor=motor, q=q, dq=dq, tau=tau, temperature=temperature, mode=mode, faults=faults)
         elif kind is Kind.READ:
             index = _index_of(frame)
             lacks = area >> 8 or index not in PARAMETERS
@@ -300,35 +301,19 @@ class Codec:
         return MotorMessage(said, host)
 
     def _of_host(self, frame: CanFrame, kind: Kind, area: int, motor: int) -> HostMessage:
-        host = area & 0xFF
-        data = frame.data
         if kind is Kind.OPERATION:
-            q, dq, kp, kd = struct.unpack(">4H", data)
-            command = MotorCommand(
-                from_word(q, *self.position),
-                from_word(dq, *VELOCITY),
-                from_word(kp, *KP),
-                from_word(kd, *KD),
-                from_word(area, *TORQUE),
-            )
-            return HostMessage(kind, motor, command=command)
-        if kind is Kind.SET_ID:
-            if area >> 8 >= MOTOR_IDS:
-                raise UnknownFrame(f"{frame} sets the id {area >> 8}; motors have ids below {MOTOR_IDS}")
-            return HostMessage(kind, motor, host)
-        index = 0
-        value = 0.0
-        if kind in (Kind.READ, Kind.WRITE):
-            index = _index_of(frame)
-            if index not in PARAMETERS:
-                return HostMessage(kind, motor, host, index=index)
-        if area >> 8:
+            words = (*struct.unpack(">4H", frame.data), area)
+            return HostMessage(kind, motor, command=MotorCommand(*_quantities(words, self._command)))
+        if kind is Kind.SET_ID and area >> 8 >= MOTOR_IDS:
+            raise UnknownFrame(f"{frame} sets the id {area >> 8}; motors have ids below {MOTOR_IDS}")
+        index = _index_of(frame) if kind in (Kind.READ, Kind.WRITE) else 0
+        strange = kind in (Kind.READ, Kind.WRITE) and index not in PARAMETERS
+        if area >> 8 and kind is not Kind.SET_ID and not strange:
             raise UnknownFrame(f"{frame} has bits set where a host leaves zeros")
-        if kind is Kind.WRITE:
+        value = float(kind is Kind.STOP and frame.data[0] == 1)
+        if kind is Kind.WRITE and not strange:
             value = _value_of(frame)
-        elif kind is Kind.STOP:
-            value = float(data[0] == 1)
-        return HostMessage(kind, motor, host, index=index, value=value)
+        return HostMessage(kind, motor, area & 0xFF, index=index, value=value)
 
 
 def check_ids(motor: int, host: int) -> None:

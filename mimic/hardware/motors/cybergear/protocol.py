@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motors.cybergear import codec as gear
 from mimic.hardware.motors.cybergear.codec import (
@@ -88,6 +87,7 @@ class CyberGear:
             low_voltage=LOW_VOLTAGE,
             position_step=2.0 * position_range / WORDS,
             position_bias=position_range / WORDS,
+            position_ranges=POSITION_RANGES,
             registers=NAMES,
             impedance_mode=float(gear.OPERATION_MODE),
             host_timeout=float(TIMEOUT),
@@ -156,27 +156,6 @@ class CyberGear:
             text = f"motor {said.motor} answers host 0x{message.host:02X}"
             return OtherHost(motor=said.motor, commands=True, text=text, feedback=said)
         return said
-
-    def check_range(self, q: float, exact: float) -> float | None:
-        """Return the end of the position range that a motor uses [rad], or None where two readings cannot show it.
-
-        Args:
-            q: Position of a feedback as this protocol decoded it [rad].
-            exact: Parameter MECH_POS read at the same place, a float in radians whatever the range [rad].
-
-        Raises:
-            FrameError: If neither known range explains both readings.
-        """
-        share = q / self._codec.position_range
-        wrong = {end: abs(share * end - exact) for end in POSITION_RANGES}
-        tolerance = 0.02  # [rad] two words and what a held joint moves between the two readings
-        best, other = sorted(POSITION_RANGES, key=wrong.__getitem__)
-        if wrong[best] > tolerance:
-            raise FrameError(
-                f"the position is {q:.3f} rad in the feedback and {exact:.3f} rad in parameter 0x7019; no known "
-                "position range explains that. Was the joint moving, or the position beyond the range?"
-            )
-        return best if wrong[other] > 2 * tolerance else None
 
     def fault_names(self, faults: int) -> str:
         """Return the names of fault bits; manual 4.1.3."""

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from mimic.emulator.motor import encode_answer
 from mimic.errors import ConfigError, FrameError
 from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.can.preflight import position_range
 from mimic.hardware.motors.cybergear.codec import (
     CAN_TIMEOUT,
     KD,
@@ -240,13 +241,15 @@ def test_a_message_that_cannot_be_is_never_sent(message):
 def test_far_from_zero_the_range_of_a_motor_can_be_determined(true_end, assumed):
     for position in (9.8, -10.2):
         word = position / true_end
-        assert CyberGear(host=HOST, position_range=assumed).check_range(word * assumed, position) == true_end
+        facts = CyberGear(host=HOST, position_range=assumed).facts
+        assert position_range(facts, assumed, word * assumed, position) == true_end
 
 
 def test_near_zero_it_cannot_be_determined_and_elsewhere_nonsense_is_named():
-    assert CyberGear(host=HOST).check_range(0.5, 0.5) is None
+    facts = CyberGear(host=HOST).facts
+    assert position_range(facts, 4 * math.pi, 0.5, 0.5) is None
     with pytest.raises(FrameError, match="0x7019"):
-        CyberGear(host=HOST).check_range(10.0, 9.0)
+        position_range(facts, 4 * math.pi, 10.0, 9.0)
 
 
 def test_a_range_that_no_motor_has_is_refused():
