@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import FrameError
+from mimic.frozen import frozen_arrays
 from mimic.geometry import multiply_quats, rotation_from_quat
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.wiring import ImuWiring
@@ -20,7 +21,6 @@ from mimic.hardware.motors.imu import (
     QUATERNION_SCALE,
     RATE_OF_TURN,
     RATE_SCALE,
-    MtiSample,
 )
 from mimic.records import FloatArray
 
@@ -44,6 +44,19 @@ def _words(values: FloatArray, scale: float) -> list[int]:
     if not np.all(np.isfinite(values)):
         raise FrameError(f"{values} cannot be sent; expected finite numbers")
     return [int(w) for w in np.clip(np.rint(np.asarray(values) * scale), -32768, 32767)]
+
+
+@frozen_arrays
+class MtiSample:
+    """What an MTi sends at one moment; fields that it does not send are None."""
+
+    quat_WI: FloatArray | None = None
+    """Orientation of the IMU, wxyz (4,), normalised."""
+    omega_I: FloatArray | None = None
+    """Angular velocity, IMU axes (3,) [rad/s]."""
+    status: int | None = None
+    counter: int | None = None
+    time: int | None = None
 
 
 def encode_mti(sample: MtiSample) -> list[CanFrame]:

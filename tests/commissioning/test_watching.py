@@ -12,6 +12,7 @@ from lab.in_process.sender_link import robot_on_can
 from mimic.commissioning.watching import Watcher
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
+from mimic.control.plant import damping_command
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.flows.watching import watch_robot
@@ -20,7 +21,6 @@ from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind
 from mimic.hardware.motors.interface import MotorCommand, MotorMode
-from mimic.hardware.robot.plant import idle_command
 from mimic.records import JOINTS
 
 CODEC = Codec()
@@ -89,7 +89,7 @@ def test_beside_a_program_that_drives_it_asks_nothing_and_shows_what_that_one_is
         def receive(self, timeout: float):
             end, received = link.now() + timeout, link.receive(0.0)
             while received is None and link.now() < end:
-                plant.step(idle_command(description.poses["lie"]))
+                plant.step(damping_command(description.poses["lie"], 0.0))
                 received = link.receive(0.0)
             return received
 

@@ -13,6 +13,7 @@ from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import TETHER_RAMP, TETHER_TORQUE, BusSettings
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
+from mimic.control.plant import damping_command
 from mimic.control.safety.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
 from mimic.emulator.faults import parse_fault
@@ -24,7 +25,6 @@ from mimic.hardware.can import open_driver
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.cybergear.codec import LIMIT_TORQUE
 from mimic.hardware.motors.interface import MotorMode
-from mimic.hardware.robot.plant import idle_command
 from mimic.policy.runtime import load_policy
 
 SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
@@ -89,7 +89,7 @@ def test_a_dry_run_refuses_a_command_that_is_no_number(robot, description):
     plant = robot_on_can(EmulatedLink(robot), load_wiring(), description, dry_run=True)
     plant.start()
     with pytest.raises(PlantError, match="not finite"):
-        plant.step(replace(idle_command(description.poses["lie"]), tau_ff=np.full(12, np.nan)))
+        plant.step(replace(damping_command(description.poses["lie"], 0.0), tau_ff=np.full(12, np.nan)))
 
 
 def test_a_stock_robot_has_no_dry_run(description):

@@ -135,14 +135,13 @@ class Port:
                     return
                 raise BusError(f"{self.name} no longer takes frames: {explain(reason)}") from None
 
-    def take(self, timeout: float = 0.0) -> CanFrame | None:
-        """Return a frame that is there already, or comes within a time [s] where there is no file to wait for."""
+    def take(self) -> CanFrame | None:
+        """Return a frame that is there already, or None."""
         while True:
             try:
                 if self._ready and self.file is not None and not _readable(self.file):
                     return None
-                message = self._bus.recv(timeout)
-                timeout = 0.0
+                message = self._bus.recv(0.0)
                 if message is None:
                     self._check()
                     return None
@@ -188,7 +187,7 @@ class _Closed:
     def send(self, frame: CanFrame) -> None:
         raise BusError(self._problem)
 
-    def take(self, timeout: float = 0.0) -> None: ...
+    def take(self) -> None: ...
 
     def close(self) -> None: ...
 

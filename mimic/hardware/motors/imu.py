@@ -9,7 +9,6 @@ on an MTi-680-DK by its author), the maker's xscandataidentifier.h and its docum
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -75,7 +74,10 @@ GROUP_COUNTER = 0x006
 LENGTH = {QUATERNION: 8, RATE_OF_TURN: 6, STATUS_WORD: 4, SAMPLE_TIME: 4, GROUP_COUNTER: 2}
 
 NUMBERS = {SAMPLE_TIME: "time", GROUP_COUNTER: "counter", STATUS_WORD: "status"}
-"""Field of each message that is one number, in the order in which an MTi sends them."""
+"""Name of each message that is one number, in the order in which an MTi sends them.
+
+The counter goes on from 65535 to 0; the time is in the device's ticks, whose unit its documents disagree on (10 kHz or
+1 MHz)."""
 
 QUATERNION_SCALE = 32767.0
 """Word of 1. The maker's document divides quaternions by 32767, its DBC by 32768; normalised, both are one."""
@@ -93,23 +95,10 @@ ORIENTATION_VALID = 1 << 1
 """Bit of the status word."""
 
 
-@frozen_arrays
-class MtiSample:
-    """Content of one MTi frame; fields that it does not carry are None."""
+def decode_mti(frame: CanFrame) -> dict[str, Any] | None:
+    """Return the content of a frame by name, or None if mimic does not read that message.
 
-    quat_WI: FloatArray | None = None
-    """Orientation of the IMU, wxyz (4,), normalised."""
-    omega_I: FloatArray | None = None
-    """Angular velocity, IMU axes (3,) [rad/s]."""
-    status: int | None = None
-    counter: int | None = None
-    """Of the sample; goes on from 65535 to 0."""
-    time: int | None = None
-    """In the device's ticks, whose unit its documents disagree on (10 kHz or 1 MHz)."""
-
-
-def decode_mti(frame: CanFrame) -> MtiSample | None:
-    """Return the content of a frame, or None if mimic does not read that message.
+    ``quat_WI`` is the orientation of the IMU, wxyz (4,), normalised; ``omega_I`` its angular velocity (3,) [rad/s].
 
     Raises:
         FrameError: If its length is wrong, or its quaternion has no direction.
@@ -123,11 +112,10 @@ def decode_mti(frame: CanFrame) -> MtiSample | None:
         length = float(np.linalg.norm(quat))
         if not 0.98 < length < 1.02:
             raise FrameError(f"{frame} is a quaternion of length {length:.3f}; expected 1")
-        return MtiSample(quat_WI=quat / length)
+        return {"quat_WI": quat / length}
     if frame.id == RATE_OF_TURN:
-        return MtiSample(omega_I=np.array(struct.unpack(">3h", frame.data)) / RATE_SCALE)
-    number: dict[str, Any] = {NUMBERS[frame.id]: int.from_bytes(frame.data, "big")}
-    return MtiSample(**number)
+        return {"omega_I": np.array(struct.unpack(">3h", frame.data)) / RATE_SCALE}
+    return {NUMBERS[frame.id]: int.from_bytes(frame.data, "big")}
 
 
 class XsensMti:
@@ -141,7 +129,7 @@ class XsensMti:
         """
         self._quat_IB = np.asarray(quat_BI) * np.array([1.0, -1.0, -1.0, -1.0])
         self._R_BI = rotation_from_quat(quat_BI)
-        self._newest = MtiSample()
+        self._newest: dict[str, Any] = {}
         self._came = {QUATERNION: -np.inf, RATE_OF_TURN: -np.inf}
         self._content: dict[int, bytes] = {}
         self._changed = -np.inf
@@ -153,12 +141,10 @@ class XsensMti:
         Raises:
             FrameError: If it has an identifier of the IMU but is malformed.
         """
-        sample = decode_mti(frame)
-        if sample is None:
+        content = decode_mti(frame)
+        if content is None:
             return not frame.extended and frame.id in OTHER_OUTPUTS
-        values = {name: getattr(sample, name) for name in MtiSample.__dataclass_fields__}
-        present = {name: value for name, value in values.items() if value is not None}
-        self._newest = replace(self._newest, **present)
+        self._newest |= content
         if frame.id in self._came:
             self._came[frame.id] = t
             self._samples[frame.id] += 1
@@ -171,8 +157,8 @@ class XsensMti:
         """Return the latest reading as of time ``now`` [s]."""
         newest = self._newest
         age = now - min(self._came.values())
-        valid = None if newest.status is None else bool(newest.status & ORIENTATION_VALID)
-        counted = newest.counter is not None or newest.time is not None  # without, a robot at rest repeats itself
+        valid = bool(newest["status"] & ORIENTATION_VALID) if "status" in newest else None
+        counted = "counter" in newest or "time" in newest  # without, a robot at rest repeats itself
         problem = None
         if np.isinf(age):
             problem = "the IMU has not sent orientation and rate of turn yet"
@@ -184,9 +170,9 @@ class XsensMti:
             problem = "the IMU calls its orientation invalid"
         quat_WB = np.full(4, np.nan)
         omega_B = np.full(3, np.nan)
-        if newest.quat_WI is not None and newest.omega_I is not None and age <= STALE_AFTER:
-            quat_WB = multiply_quats(newest.quat_WI, self._quat_IB)
-            omega_B = self._R_BI @ newest.omega_I
+        if age <= STALE_AFTER:
+            quat_WB = multiply_quats(newest["quat_WI"], self._quat_IB)
+            omega_B = self._R_BI @ newest["omega_I"]
         return ImuReading(
             quat_WB=quat_WB,
             omega_B=omega_B,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from mimic.control.plant import damping_command
 from mimic.errors import PlantError, SenderError
 from mimic.hardware.robot.driver import no_report
 from mimic.hardware.robot.process import HANGS, SenderProcess
@@ -22,12 +24,6 @@ ROUNDED = 0.01, 0.002
 
 ANSWERS = 0.005
 """A step that begins late still waits this long for answers [s]."""
-
-
-def idle_command(q: FloatArray) -> JointCommand:
-    """Return the command without gains and without torque."""
-    zeros = np.zeros(len(JOINTS))
-    return JointCommand(q_des=np.nan_to_num(q), dq_des=zeros, kp=zeros, kd=zeros, tau_ff=zeros)
 
 
 class Robot:
@@ -79,7 +75,8 @@ class Robot:
         self._began = self._ended = self._due = link.now()
         self.report["t"] = self._began
         self._busy = None
-        return self.step(idle_command(np.clip(self.report["q"], d.q_min, d.q_max))).state
+        q = np.nan_to_num(np.clip(self.report["q"], d.q_min, d.q_max))
+        return self.step(damping_command(q, 0.0)).state  # without gains
 
     def step(self, command: JointCommand, dt: float | None = None) -> Tick:
         """Send a command, collect what the robot says, and wait for the end of the control step.
@@ -189,15 +186,8 @@ class Robot:
                 self._gap = max(self._gap, float(report["gap"]))
 
     def _sent(self, command: JointCommand) -> JointCommand:
-        report = self.report
-        return JointCommand(
-            q_des=np.array(report["q_sent"]),
-            dq_des=command.dq_des,
-            kp=np.array(report["kp_sent"]),
-            kd=np.array(report["kd_sent"]),
-            tau_ff=command.tau_ff,
-            ramp=command.ramp,
-        )
+        q, kp, kd = (np.array(self.report[name]) for name in ("q_sent", "kp_sent", "kd_sent"))
+        return replace(command, q_des=q, kp=kp, kd=kd)
 
     def state(self, since: float | FloatArray) -> RobotState:
         """Return the state, with NaN for joints that have said nothing after a time [s], or one time each (12,)."""

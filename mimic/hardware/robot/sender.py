@@ -23,7 +23,7 @@ import numpy as np
 from mimic.errors import FrameError, MimicError
 from mimic.frozen import frozen_arrays
 from mimic.hardware.robot.driver import Driver
-from mimic.records import FloatArray, JointCommand
+from mimic.records import JointCommand
 from mimic.robot.description import RobotDescription
 
 ORDER_TIMEOUT = 0.1
@@ -268,14 +268,13 @@ class Sender:
         order = self._order
         driver = self.driver
         assert order is not None
-        command = order.command
         try:
             driver.drive(self._part(now))
         except FrameError as reason:
             self.damp(str(reason))
             return
         self._due = order.begin + self._slot_end(now)
-        if not driver.repeats and self._due > order.begin + command.ramp - 0.5 * driver.period:
+        if not driver.repeats and self._due > order.begin + order.command.ramp - 0.5 * driver.period:
             self._due = self._due_late(self._due)
 
     def _part(self, now: float) -> JointCommand:
@@ -290,16 +289,11 @@ class Sender:
         if command.ramp <= 0.0 or begin is None:
             return command
         share = min(max(self._slot_end(now) / command.ramp, 0.0), 1.0)
-
-        def on_the_way(old: FloatArray, new: FloatArray) -> FloatArray:
-            return old + share * (new - old)
-
-        return replace(
-            command,
-            q_des=on_the_way(begin.q_des, command.q_des),
-            dq_des=on_the_way(begin.dq_des, command.dq_des),
-            tau_ff=on_the_way(begin.tau_ff, command.tau_ff),
-        )
+        on_the_way: dict[str, Any] = {}
+        for name in ("q_des", "dq_des", "tau_ff"):
+            old = getattr(begin, name)
+            on_the_way[name] = old + share * (getattr(command, name) - old)
+        return replace(command, **on_the_way)
 
     def _due_late(self, due: float) -> float:
         """Return when a motor that keeps its command needs another part, once all parts of the order are out [s]."""

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mimic.emulator.imu import encode_mti
+from mimic.emulator.imu import MtiSample, encode_mti
 from mimic.errors import ConfigError, FrameError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.wiring import ImuWiring
-from mimic.hardware.motors.imu import MtiSample, XsensMti, decode_mti, make_imu
+from mimic.hardware.motors.imu import XsensMti, decode_mti, make_imu
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 rotations = st.tuples(*[st.floats(-3, 3)] * 3).map(lambda v: Rotation.from_rotvec(np.array(v)))
@@ -33,14 +33,14 @@ def test_frames_are_those_of_the_makers_tables():
 @given(rotations)
 def test_an_orientation_arrives_within_a_word(rotation):
     (frame,) = encode_mti(MtiSample(quat_WI=words(rotation)))
-    got = decode_mti(frame).quat_WI
+    got = decode_mti(frame)["quat_WI"]
     assert (rotation.inv() * Rotation.from_quat(got, scalar_first=True)).magnitude() < 2e-4
 
 
 @given(st.tuples(*[st.floats(-100, 100)] * 3))
 def test_a_rate_of_turn_arrives_within_half_a_word_and_saturates(omega):
     (frame,) = encode_mti(MtiSample(omega_I=np.array(omega)))
-    assert np.abs(decode_mti(frame).omega_I - np.clip(omega, -64, 64)).max() <= 0.5 / 512 + 1 / 512
+    assert np.abs(decode_mti(frame)["omega_I"] - np.clip(omega, -64, 64)).max() <= 0.5 / 512 + 1 / 512
 
 
 @pytest.mark.parametrize(

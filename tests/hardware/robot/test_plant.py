@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from mimic.errors import BusError, PlantError, SenderError
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.cybergear.codec import CAN_TIMEOUT, LIMIT_TORQUE
 from mimic.hardware.motors.interface import MotorMode
-from mimic.hardware.robot.plant import idle_command
+from mimic.hardware.robot.plant import Robot
 from mimic.records import JOINTS, JointCommand
 
 
@@ -386,8 +387,14 @@ def test_the_load_of_the_bus_is_what_it_was(made, description):
     assert plant.load() == pytest.approx(real, rel=0.03)
 
 
-def test_asking_for_nothing_has_no_gains():
-    command = idle_command(np.array([np.nan, 1.0] * 6))
+def test_a_start_without_a_reading_asks_for_nothing(description):
+    orders = []
+    link = Mock(problem="", left=False)
+    link.now.return_value = 0.0
+    link.wait.return_value = []
+    link.order.side_effect = orders.append
+    Robot(link, description).start()
+    (command,) = (order.command for order in orders)
     assert np.isfinite(command.q_des).all()
     assert not np.any([command.kp, command.kd, command.tau_ff])
 

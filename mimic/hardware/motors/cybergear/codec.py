@@ -239,8 +239,6 @@ class Codec:
                 data = struct.pack("<H6x", m.index)
             case Kind.WRITE:
                 data = parameter_bytes(m.index, m.value)
-            case _:
-                pass
         return frame_of(m.kind, area, m.motor, data)
 
     def decode(self, frame: CanFrame) -> HostMessage | MotorMessage:

@@ -4,19 +4,7 @@ from __future__ import annotations
 
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motors.cybergear import codec as gear
-from mimic.hardware.motors.cybergear.codec import (
-    KD,
-    KP,
-    MOTOR_IDS,
-    POSITION_RANGES,
-    TORQUE,
-    VELOCITY,
-    WORDS,
-    Codec,
-    HostMessage,
-    Kind,
-    ParameterValue,
-)
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, Kind, ParameterValue
 from mimic.hardware.motors.interface import (
     Answer,
     Feedback,
@@ -63,7 +51,7 @@ LOW_VOLTAGE = 22.0
 class CyberGear:
     """Xiaomi CyberGear. See `mimic.hardware.motors.interface.MotorProtocol`."""
 
-    def __init__(self, *, host: int, position_range: float = POSITION_RANGES[0]) -> None:
+    def __init__(self, *, host: int, position_range: float = gear.POSITION_RANGES[0]) -> None:
         """Take what is set up in the motors.
 
         Args:
@@ -76,18 +64,18 @@ class CyberGear:
         self._codec = Codec(position_range=position_range, host=host)
         self.facts = MotorFacts(
             name="CyberGear",
-            motor_ids=range(MOTOR_IDS),
+            motor_ids=range(gear.MOTOR_IDS),
             host_ids=range(0xFE),
             factory_id=127,
-            velocity=VELOCITY[1],
-            torque=TORQUE[1],
-            kp=KP[1],
-            kd=KD[1],
+            velocity=gear.VELOCITY[1],
+            torque=gear.TORQUE[1],
+            kp=gear.KP[1],
+            kd=gear.KD[1],
             voltage=VOLTAGE,
             low_voltage=LOW_VOLTAGE,
-            position_step=2.0 * position_range / WORDS,
-            position_bias=position_range / WORDS,
-            position_ranges=POSITION_RANGES,
+            position_step=2.0 * position_range / gear.WORDS,
+            position_bias=position_range / gear.WORDS,
+            position_ranges=gear.POSITION_RANGES,
             registers=NAMES,
             impedance_mode=float(gear.OPERATION_MODE),
             host_timeout=float(TIMEOUT),
