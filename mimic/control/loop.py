@@ -107,14 +107,14 @@ def run_policy(
     if safety is None:
         supervisor = Supervisor(plant.description, sits=sit_down is not None)
         safety = Safety(supervisor=supervisor, tested=False, damp_at_end=False)
-    motion, expected = _motion(track, settings, contract, plant.description, safety)
-    sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
-    report = None if progress is None else partial(_report, progress, expected + sit_ticks)
-    run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
     position: HeldPosition | KeptDistance | None = None
     if settings.hold_position:
         walks = isinstance(track, CommandTrack) and track.v.any()
         position = KeptDistance(track, plant.description) if walks else HeldPosition(plant.description)
+    motion, expected = _motion(track, settings, contract, plant.description, safety, position)
+    sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
+    report = None if progress is None else partial(_report, progress, expected + sit_ticks)
+    run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
     error: Exception | None = None
     try:
         with safety.signals.interrupts_counted() if counted else nullcontext():
@@ -153,6 +153,7 @@ def _motion(
     contract: PolicyContract,
     description: RobotDescription,
     safety: Safety,
+    position: HeldPosition | KeptDistance | None,
 ) -> tuple[DesiredMotion, int]:
     """Return the motion to play, and the control ticks that are known of it."""
     dt = contract.dt
@@ -164,7 +165,11 @@ def _motion(
     if not np.allclose(np.diff(track.t), dt, rtol=0.0, atol=1e-6):
         given = float(np.median(np.diff(track.t)))
         raise ContractError(f"the commands come every {given:g} s; the policy needs one every {dt:g} s throughout")
-    motion = StoredMotion(track, settings, contract, description, endless=safety.endless)
+
+    def over() -> bool:
+        return not safety.endless and (not isinstance(position, KeptDistance) or position.arrived)
+
+    motion = StoredMotion(track, settings, contract, description, over=over)
     if motion.out_of_reach:
         text = f"{motion.out_of_reach} of {len(track.t)} rows ask for toes out of reach; they go to the closest point"
         safety.supervisor.note("clamped", text, 0.0)

@@ -141,7 +141,7 @@ class Env(gymnasium.Env[Observation, Observation]):
         if commands is None:
             commands = command_script(self.description, self.seconds, self.np_random)
         if isinstance(commands, CommandTrack):
-            return StoredMotion(commands, TIMING, self.contract, self.description, endless=True)
+            return StoredMotion(commands, TIMING, self.contract, self.description, over=lambda: False)
         return LiveMotion(commands, TIMING, self.contract, self.description)
 
     def _ask(self) -> None:
