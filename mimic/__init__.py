@@ -112,6 +112,9 @@ _OWNERS = {
 }
 """Which module each public name comes from."""
 
+_KINDS = {"MachineModel": "mimic.dynamics.machine", "Safety": "mimic.control.tick"}
+"""Which module each other kind of their arguments comes from."""
+
 _MODULE_OF = {name: module for module, names in _OWNERS.items() for name in names}
 
 __all__ = ["__version__", *sorted(_MODULE_OF.keys() - {"Env"})]  # Env needs the extra env: no part of import *
@@ -120,9 +123,19 @@ __all__ = ["__version__", *sorted(_MODULE_OF.keys() - {"Env"})]  # Env needs the
 def __getattr__(name: str) -> Any:
     if name not in _MODULE_OF:
         raise AttributeError(f"mimic has no {name!r}; it has {', '.join(sorted(_MODULE_OF))}")
-    value = getattr(importlib.import_module(_MODULE_OF[name]), name)
+    value = _found(name)
+    if type(value).__name__ == "function":
+        from mimic.arguments import checked
+
+        value = checked(value, _found)
     globals()[name] = value
     return value
+
+
+def _found(name: str) -> Any:
+    """Return what stands for a public name, or for a kind of their arguments; None for any other name."""
+    module = _MODULE_OF.get(name) or _KINDS.get(name)
+    return None if module is None else getattr(importlib.import_module(module), name)
 
 
 def __dir__() -> list[str]:

@@ -148,20 +148,52 @@ def test_one_group_of_settings_or_single_ones_do(clip):
     [
         (lambda: mimic.load_motion(CLIP, raet=0.2), "there is no setting 'raet'; settings are .*rate"),
         (lambda: mimic.load_motion(CLIP, rate=5.0), "rate is 5 s; it must be from 0.05 to 1 s"),
-        (lambda: mimic.load_motion(CLIP, mimic.RunSettings()), "settings is a RunSettings; expected InputSettings"),
+        (
+            lambda: mimic.load_motion(CLIP, mimic.RunSettings()),
+            "settings is a RunSettings; expected InputSettings",
+        ),
         (lambda: mimic.load_motion(CLIP, reporter=True), "reporter is True; expected an object with note, warn"),
-        (lambda: mimic.load_motion(["a", "b"]), "load_motion is given a list; expected a file, or arrays"),
+        (lambda: mimic.load_motion(["a", "b"]), "load_motion: source is a list; expected str or Path or Mapping or nd"),
         (lambda: mimic.load_motion(np.zeros((50, 2, 3))), r"toes is played as CommandTrack\(t=t"),
         (lambda: mimic.load_motion({"t": np.arange(9)}), r"holds t; expected an array 'points' \(T, N, 3\)"),
-        (lambda: mimic.retarget(np.zeros((50, 2, 3))), "given a ndarray; expected a PoseTrack or a WristTrack"),
+        (
+            lambda: mimic.retarget(np.zeros((50, 2, 3))),
+            "track is a ndarray; expected PoseTrack or WristTrack",
+        ),
         (lambda: mimic.play(5), "given is a int; expected a file, arrays as in an .npz, a Motion"),
         (lambda: mimic.play("wave the left hand"), r"to play a sentence: play\(motion_from_text"),
-        (lambda: mimic.play(CLIP, settings=mimic.RetargetSettings()), r"play\(load_motion\(source, settings\)\)"),
+        (
+            lambda: mimic.play(CLIP, settings=mimic.RetargetSettings()),
+            "settings is a RetargetSettings; expected RunSett",
+        ),
+        (lambda: mimic.play(None), "given is a NoneType; expected a file"),
+        (lambda: mimic.play(CLIP, policy=5), "play: policy is a int; expected Policy or str or Path or None"),
+        (lambda: mimic.load_motion(None), "load_motion: source is a NoneType; expected str"),
+        (lambda: mimic.load_motion(CLIP, description="go2"), "description is a str; expected RobotDescription or None"),
+        (lambda: mimic.motion_from_text(None), "motion_from_text: sentence is a NoneType; expected str"),
+        (lambda: mimic.track_video(None), "track_video: video is a NoneType"),
+        (lambda: mimic.load_robot(None), "load_robot: name is a NoneType"),
+        (lambda: mimic.load_policy(5), "load_policy: policy is a int"),
+        (lambda: mimic.load_run(None), "load_run: folder is a NoneType"),
+        (lambda: mimic.read_log(None), "read_log: path is a NoneType"),
+        (lambda: mimic.read_effects(5), "read_effects: path is a int"),
+        (lambda: mimic.calibrate([1]), "log is a list; expected .* or a sequence of str or Path or JointLog"),
+        (lambda: mimic.calibrate("a.csv", 5), "model is a int; expected str or Path or MachineModel or None"),
+        (lambda: mimic.predict_log("a.csv", whole=1), "whole is a int; expected bool"),
+        (lambda: mimic.evaluate(settings=mimic.RunSettings()), "evaluate: settings is a RunSettings"),
+        (lambda: mimic.Policy(None, mimic.load_robot()), "Policy: path is a NoneType; expected Path"),
+        (lambda: mimic.RunSettings(policy=5), "policy is 5; expected text"),
+        (lambda: mimic.RunSettings(hold_position=None), "hold-position is None; expected True or False"),
     ],
 )
 def test_what_does_not_fit_says_how(call, said):
     with pytest.raises(mimic.MimicError, match=said):
         call()
+
+
+def test_an_argument_that_is_not_there_is_said_as_python_says_it():
+    with pytest.raises(TypeError, match=r"play\(\) got an unexpected keyword argument 'rob'"):
+        mimic.play(CLIP, rob="go2")
 
 
 def test_a_motion_and_a_run_show_at_most_ten_short_lines(waved):

@@ -19,8 +19,18 @@ def required(low: float, high: float, unit: str = "") -> Any:
     return field(metadata={"limits": (low, high, unit)})
 
 
+KINDS = {
+    "int": (Integral, "a whole number"),
+    "float": (Real, "a number"),
+    "str": (str, "text"),
+    "str | None": (str | None, "text"),
+    "bool": (bool, "True or False"),
+}
+"""What settings may be, by their annotation."""
+
+
 class Limited:
-    """Settings of which those that are `within` limits are checked, unless they are text or None."""
+    """Settings whose kind is checked, and of which those that are `within` limits lie between them."""
 
     __slots__ = ()
 
@@ -28,12 +38,10 @@ class Limited:
         for f in fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
             name = f.name.replace("_", "-")
-            if f.type == "int" and not isinstance(value, Integral):
-                raise ConfigError(f"{name} is {value!r}; expected a whole number")
-            if not isinstance(value, Real):
-                if f.type == "float":
-                    raise ConfigError(f"{name} is {value!r}; expected a number")
-            elif "limits" in f.metadata:
+            kind, said = KINDS.get(str(f.type), (object, ""))
+            if not isinstance(value, kind):
+                raise ConfigError(f"{name} is {value!r}; expected {said}")
+            if "limits" in f.metadata and isinstance(value, Real):
                 check_range(name, float(value), *f.metadata["limits"])
 
 

@@ -6,6 +6,7 @@ have goals of their own from the blend on.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -91,7 +92,7 @@ class StoredMotion:
         contract: PolicyContract,
         description: RobotDescription,
         *,
-        endless: bool = False,
+        over: Callable[[], bool] = lambda: True,
     ) -> None:
         """Prepare a motion.
 
@@ -100,7 +101,7 @@ class StoredMotion:
             settings: Times of the phases, and who moves the arms.
             contract: Of the policy that is asked.
             description: The robot.
-            endless: Hold the last command for ever.
+            over: Whether the motion may be over at its end; until then its last command is held.
 
         Raises:
             ContractError: If the track is empty or has another control step than the policy.
@@ -113,11 +114,12 @@ class StoredMotion:
             raise ContractError(f"the commands come every {given} s; {needed}")
         self._track = track
         self._timing = timing = _Timing(settings, contract, description)
-        self._endless = endless
+        self._over = over
         self._arms: StoredArms | None = None
         if timing.moves_arms:
             self._arms = StoredArms(track.p_BE, timing.blend, contract, description)
         self.ticks = timing.stand + timing.blend + len(track.t) + timing.hold
+        """Control ticks of the motion, if it is not held longer."""
         self.out_of_reach = 0 if self._arms is None else self._arms.out_of_reach
         """Targets that the arms cannot reach; they go to the closest point."""
 
@@ -132,7 +134,7 @@ class StoredMotion:
         timing = self._timing
         if tick < timing.stand:
             return timing.standing_up()
-        if tick >= self.ticks and not self._endless:
+        if tick >= self.ticks and self._over():
             return None
         row = tick - timing.stand - timing.blend
         arms = None if self._arms is None else self._arms.at(row, q)

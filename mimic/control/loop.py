@@ -106,9 +106,14 @@ def run_policy(
     if safety is None:
         supervisor = Supervisor(plant.description, sits=sit_down is not None)
         safety = Safety(supervisor=supervisor, tested=False, damp_at_end=False)
+    position: HeldPosition | KeptDistance | None = None
+    if settings.hold_position:
+        walks = isinstance(track, CommandTrack) and track.v.any()
+        position = KeptDistance(track, plant.description) if walks else HeldPosition(plant.description)
     motion: DesiredMotion
     if isinstance(track, CommandTrack):
-        motion = StoredMotion(track, settings, contract, plant.description, endless=safety.endless)
+        over = partial(_may_be_over, safety, position)
+        motion = StoredMotion(track, settings, contract, plant.description, over=over)
         if motion.out_of_reach:
             far = f"{motion.out_of_reach} of {len(track.t)} rows ask for toes out of reach"
             safety.supervisor.note("clamped", f"{far}; they go to the closest point", 0.0)
@@ -117,10 +122,6 @@ def run_policy(
     sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
     report = None if progress is None else partial(_report, progress, motion.ticks + sit_ticks)
     run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
-    position: HeldPosition | KeptDistance | None = None
-    if settings.hold_position:
-        walks = isinstance(track, CommandTrack) and track.v.any()
-        position = KeptDistance(track, plant.description) if walks else HeldPosition(plant.description)
     error: Exception | None = None
     try:
         with safety.signals.interrupts_counted() if counted else nullcontext():
@@ -147,6 +148,11 @@ def run_policy(
         interrupted=run.interrupted,
         error=error,
     )
+
+
+def _may_be_over(safety: Safety, position: HeldPosition | KeptDistance | None) -> bool:
+    """Return whether a motion may be over at its end: a robot that walks has arrived."""
+    return not safety.endless and (not isinstance(position, KeptDistance) or position.arrived)
 
 
 def _report(progress: Callable[[int, int], None], expected: int, done: int) -> None:

@@ -27,6 +27,8 @@ REACHED = 0.005
 """It then walks until it is as near as this [m]."""
 SLOWEST = 0.1
 """Velocity with which it does so at least: slower ones the policies do not walk [m/s]."""
+ARRIVAL = 4.0
+"""How long a robot may walk on to where a motion should have brought it [s]."""
 STEERED_FROM = 0.1
 """A walk that is slower than this is steered less, in proportion [m/s]."""
 RESPONSE = 1.0
@@ -133,6 +135,8 @@ class KeptDistance:
         self._row = 0
         self._came = np.zeros(2)
         self._walks_there = False
+        self.arrived = True
+        """Whether the robot is where it should be and stands, or has walked on for ARRIVAL."""
 
     def corrected(self, command: Command, q: FloatArray, quat_WB: FloatArray) -> Command:
         """Return a command that makes up for what is lacking; called once each control step.
@@ -143,7 +147,8 @@ class KeptDistance:
             quat_WB: Orientation of the base (4,), wxyz.
         """
         last = len(self._way) - 1
-        later = min(self._row + round(RESPONSE / self._dt), last)
+        ahead = self._row + round(RESPONSE / self._dt)
+        later = min(ahead, last)
         heading = float(self._track.heading[min(self._row, last)])
         start = command.heading - heading
         bend = float(self._track.heading[later]) - heading
@@ -156,7 +161,7 @@ class KeptDistance:
         turn = start - command.heading
         along, aside = (float(value) for value in _turned(lacking - excess, turn))
         speed = float(_turned(velocity, -command.heading)[0])
-        wanted = float(self._track.v[later, 0]) if self._row <= last else 0.0
+        wanted = float(self._track.v[later, 0]) if ahead <= last else 0.0
         asked = wanted + GAIN * along
         steered = float(np.clip(aside / STEERED, -MOST_STEERED, MOST_STEERED))
         steered *= wanted / max(abs(wanted), STEERED_FROM)
@@ -164,6 +169,9 @@ class KeptDistance:
             near = REACHED if self._walks_there else CORRECTED
             self._walks_there = abs(along) > near and along * speed > -abs(along) * STANDS
             asked = float(np.copysign(max(abs(asked), SLOWEST), along)) if self._walks_there else 0.0
+        late = (self._row - last) * self._dt
+        remains = along + RESPONSE * speed
+        self.arrived = late > ARRIVAL or (abs(remains) <= CORRECTED and abs(speed) <= STANDS)
         limited = float(np.clip(asked, -self._fastest, self._fastest))
         return replace(command, v=np.array([limited, command.v[1]]), heading=command.heading + steered)
 

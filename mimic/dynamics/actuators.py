@@ -89,9 +89,10 @@ class FileDrives:
         return not (0 <= group <= 30 and option.disableactuator >> group & 1)
 
     def _drop(self, part: str, a: int) -> None:
-        joint = max(int(self._model.actuator_trnid[a, 0]), 0)
-        name = self._model.actuator(a).name or self._model.joint(joint).name
-        self._told.setdefault(part, []).append(name)
+        name = self._model.actuator(a).name
+        if not name and int(self._model.actuator_trntype[a]) in AT_JOINT:
+            name = self._model.joint(int(self._model.actuator_trnid[a, 0])).name
+        self._told.setdefault(part, []).append(name or f"number {a}")
 
     def _read(self, a: int) -> None:
         """Add an actuator to the drive of its joint."""
@@ -99,7 +100,7 @@ class FileDrives:
         reference = self._own
         strange = self._strange(a)
         if strange:
-            self._drop(strange, a)
+            self._drop(f"all forces ({strange})", a)
             reference.actuator_group[a] = OFF
             return
         if m.actuator_dyntype[a] != mujoco.mjtDyn.mjDYN_NONE:  # `_of_file` gives the activation its final value
@@ -136,11 +137,13 @@ class FileDrives:
         """Return why an actuator is no drive of a joint, None if it is one."""
         m = self._model
         if int(m.actuator_trntype[a]) not in AT_JOINT:
-            return "all, because they act on no joint"
+            return "at no joint"
+        if m.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_MUSCLE:
+            return "of a muscle"
         if m.actuator_gaintype[a] != mujoco.mjtGain.mjGAIN_FIXED:
-            return "gains that depend on the state"
+            return "their gains depend on the state"
         if int(m.actuator_biastype[a]) not in (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE):
-            return "forces that are not linear"
+            return "not linear"
         return None
 
     def _limit(self, j: int) -> float:

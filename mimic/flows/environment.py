@@ -15,6 +15,7 @@ except ImportError:
 
     raise MissingExtra("gymnasium", "env") from None
 
+from mimic.arguments import checked
 from mimic.config.play import DEFAULT_ROBOT, NOMINAL, Randomisation
 from mimic.control.desired import LiveMotion, StoredMotion
 from mimic.control.policy_step import Asked, Pilot
@@ -58,6 +59,7 @@ class Env(gymnasium.Env[Observation, Observation]):
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # as in the base class
 
+    @checked
     def __init__(
         self,
         robot: str | Path = DEFAULT_ROBOT,
@@ -141,7 +143,7 @@ class Env(gymnasium.Env[Observation, Observation]):
         if commands is None:
             commands = command_script(self.description, self.seconds, self.np_random)
         if isinstance(commands, CommandTrack):
-            return StoredMotion(commands, TIMING, self.contract, self.description, endless=True)
+            return StoredMotion(commands, TIMING, self.contract, self.description, over=lambda: False)
         return LiveMotion(commands, TIMING, self.contract, self.description)
 
     def _ask(self) -> None:

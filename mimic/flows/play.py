@@ -115,7 +115,8 @@ def play(
         plant: Robot that plays them instead; it is closed at the end.
         policy: Low-level policy or its ONNX file; by default the shipped one.
         sit_down: Policy that brings the robot down at the end; by default the shipped one.
-        settings: Times of the phases, seed of the simulated start; its ``policy`` counts where none is given.
+        settings: Times of the phases, seed of the simulated start; its ``policy`` counts where none is given. Those of
+            retargeting are for `load_motion`.
         effects: What a calibration found, for the simulated robot.
         safety: Supervision of the run; by default every rule at its usual limit, without a recorder.
         sink: Called after each control tick; must not block.
@@ -137,10 +138,6 @@ def play(
     settings = settings or RunSettings()
     effects = effects or EffectsSettings()
     reporter = reporting(reporter)
-    if not isinstance(settings, RunSettings):
-        raise ConfigError(
-            f"play takes RunSettings; to give {type(settings).__name__}: play(load_motion(source, settings))"
-        )
     if robot is not None:
         effects = replace(effects, robot_model=str(robot))
     description = load_robot(effects.robot_model) if plant is None else plant.description

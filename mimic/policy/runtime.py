@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
+from mimic.arguments import checked
 from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ContractError
 from mimic.io.assets import shipped
@@ -21,6 +22,7 @@ from mimic.robot.description import RobotDescription, load_description
 class Policy:
     """A policy read from an ONNX file together with its contract."""
 
+    @checked
     def __init__(self, path: Path, description: RobotDescription) -> None:
         """Load a policy and check it against the robot.
 

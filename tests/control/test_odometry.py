@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from mimic.control.odometry import (
+    ARRIVAL,
     CORRECTED,
     HOLDING,
     MOST,
     MOST_STEERED,
     RESPONSE,
+    SLOWEST,
     HeldPosition,
     KeptDistance,
     LegOdometry,
@@ -80,6 +82,28 @@ def test_behind_its_track_a_robot_still_walks_the_rest(description):
     for _ in range(50):
         kept.corrected(command(0.1), q, UPRIGHT)
     assert kept.corrected(command(0.0), q, UPRIGHT).v[0] >= 0.1
+
+
+def test_a_walk_is_over_where_it_should_end_or_after_a_while(description):
+    kept = KeptDistance(walk(0.1, 1.0), description)
+    q = description.poses["upright"]
+    assert kept.arrived
+    longest = round((1.0 + ARRIVAL) / description.dt)
+    over = []
+    for row in range(longest + 5):
+        kept.corrected(command(0.1 if row < 50 else 0.0), q, UPRIGHT)
+        over.append(kept.arrived)
+    assert not any(over[49 : longest - 2])
+    assert over[-1]
+
+
+def test_a_robot_is_told_to_stop_before_its_track_ends(description):
+    kept = KeptDistance(walk(0.5 * CORRECTED, 3.0), description)
+    q = description.poses["upright"]
+    asked = [kept.corrected(command(0.5 * CORRECTED), q, UPRIGHT).v[0] for _ in range(120)]
+    stopping = round((3.0 - RESPONSE) / description.dt)
+    assert asked[stopping - 2] < SLOWEST  # it follows its track
+    assert asked[stopping] == SLOWEST  # what is lacking is walked as fast as it walks at least
 
 
 def test_a_robot_that_is_where_it_should_be_stands(description):

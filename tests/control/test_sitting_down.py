@@ -8,11 +8,12 @@ import pytest
 
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
+from mimic.control.odometry import ARRIVAL
 from mimic.errors import ContractError, SourceError
 from mimic.metrics import run_metrics
 from mimic.records import PHASES, RunLog
 
-SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
+SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5, hold_position=False)
 BEFORE, LAST = 50 + 10 + 20 + 5, 75
 """Ticks until the sitting down, and of it, with a track of 20."""
 
@@ -41,6 +42,13 @@ def test_a_run_ends_by_sitting_down(play, memory_plant, fixed_policy, sitter, tr
     assert result.log.metadata["sit_down"] == "fixed.onnx"
     assert result.fell_at is None
     assert not result.interrupted
+
+
+def test_a_robot_that_has_not_come_far_enough_walks_on_for_a_while(play, memory_plant, fixed_policy, sitter, track):
+    kept = dataclasses.replace(SHORT, hold_position=True)
+    log = play(memory_plant(), fixed_policy(), track(20), kept, sit_down=sitter).log
+    held = names(log).count("hold")
+    assert held == pytest.approx(ARRIVAL / 0.02, abs=1)
 
 
 @pytest.mark.parametrize(("frames", "sitting"), [(6, 3), (3, 6)])

@@ -176,8 +176,10 @@ def test_armature_and_damping_of_actuators_of_a_robot_are_those_of_its_joints(
         ),
         (
             '<general joint="a" biastype="muscle" lengthrange="0 1" biasprm=".75 1.05 -1 200 .5 1.6 1.5 1.3 1.2"/>',
-            "forces that are not linear of the actuators a",
+            "all forces (not linear) of the actuators a",
         ),
+        ('<muscle name="m" joint="a" lengthrange="0 1"/>', "all forces (of a muscle) of the actuators m"),
+        (SERVOS + '<adhesion body="world" ctrlrange="0 1" gain="3"/>', "(at no joint) of the actuators number 2"),
         ('<intvelocity joint="a" kp="8" actrange="-1 1"/>', "activation dynamics (timeconst) of the actuators a"),
         ('<position joint="a" kp="8" delay="0.01" nsample="5"/>', "delays of the actuators a"),
     ],

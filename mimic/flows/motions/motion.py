@@ -159,8 +159,6 @@ def load_motion(
             file = Path(folder) / "arrays.npz"
             np.savez(file, **source)
             return load_motion(file, settings, description=description, reporter=reporter, **changes)
-    if not isinstance(source, str | Path):
-        raise SourceError(f"load_motion is given a {type(source).__name__}; expected a file, or arrays as in an .npz")
     path = existing(source)
     if path.is_dir():
         raise SourceError(f"{path} is a folder; expected a file. To play all files of a folder: mimic batch {path}")
@@ -301,8 +299,6 @@ def retarget(
         reporter=reporting(reporter),
         description=description,
     )
-    if not isinstance(track, PoseTrack | WristTrack):
-        raise SourceError(f"retarget is given a {type(track).__name__}; expected a PoseTrack or a WristTrack")
     motion = _of_record(track, loading)
     assert motion.targets is not None
     return motion.targets

@@ -17,6 +17,10 @@ from mimic.errors import AssetError, MimicError
 
 log = logging.getLogger(__name__)
 
+MARK = b"RRF2"
+"""First bytes of a scene file."""
+FOOTER = b"RRF2FOOT"
+"""Stands in its last bytes once it is complete."""
 HERE = "127.0.0.1"
 """Address that only this computer reaches."""
 
@@ -32,7 +36,7 @@ def open_viewer(path: Path) -> bool:
     """Open a scene in a separate viewer that outlives this process; return False if there is no display.
 
     Raises:
-        AssetError: If there is no such file.
+        AssetError: If there is no such file, or it is damaged.
     """
     _check(path)
     if not display_available():
@@ -61,7 +65,7 @@ def serve_scene(path: Path, show: Callable[[str], None]) -> None:
         show: Receives the address to open.
 
     Raises:
-        AssetError: If there is no such file.
+        AssetError: If there is no such file, or it is damaged.
         MimicError: If the server ends by itself.
     """
     _check(path)
@@ -97,3 +101,8 @@ def end(process: subprocess.Popen[Any]) -> None:
 def _check(path: Path) -> None:
     if not path.is_file():
         raise AssetError(f"there is no scene {path}; make one with a run")
+    content = path.read_bytes()
+    if not content.startswith(MARK):
+        raise AssetError(f"{path} is no Rerun scene; name the folder of a run, or its scene.rrd")
+    if FOOTER not in content[-4 * len(FOOTER) :]:
+        raise AssetError(f"{path} is cut short; copy it again or repeat the run. To see what is left: rerun {path}")

@@ -20,7 +20,7 @@ from mimic.control.signals import Signals
 from mimic.errors import PlantError
 from mimic.records import PHASES, Health, HealthLog, JointCommand, RunLog, Tick
 
-SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
+SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5, hold_position=False)
 MOVES = 20
 RAMP, BEFORE, LAST = MOVES + 25, 50 + 10 + 20 + 5, 75
 """Ticks of the ramp, of the run, and of sitting down, with a track of 20."""

@@ -711,8 +711,8 @@ def test_what_a_replay_drops_of_a_model_is_said(tmp_path):
         ('<position joint="a" kp="8"/>', "", ""),
         ('<position joint="a" kp="8" ctrlrange="-1 1"/>', "", "ranges of targets (ctrlrange) of the actuators a"),
         ('<general joint="a" dyntype="filter" dynprm=".1"/>', "", "activation dynamics (timeconst) of the actuators a"),
-        ('<motor name="jet" site="s" gear="0 0 1 0 0 0"/>', "", "act on no joint of the actuators jet"),
-        ('<damper joint="a" kv="2" ctrlrange="0 1"/>', "", "gains that depend on the state of the actuators a"),
+        ('<motor name="jet" site="s" gear="0 0 1 0 0 0"/>', "", "(at no joint) of the actuators jet"),
+        ('<damper joint="a" kv="2" ctrlrange="0 1"/>', "", "gains depend on the state) of the actuators a"),
         ('<motor joint="a"/>', '<sensor><jointpos joint="a"/><gyro site="s"/></sensor>', "2 sensors"),
     ],
 )

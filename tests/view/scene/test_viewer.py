@@ -10,6 +10,8 @@ import rerun as rr
 from mimic.errors import AssetError
 from mimic.view.scene.viewer import display_available, open_viewer, serve_scene
 
+COMPLETE = b"RRF2 content RRF2FOOT\1\0\0\0"
+
 
 def test_display_is_one_of_x11_or_wayland(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
@@ -27,13 +29,24 @@ def test_a_mac_has_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_no_window_without_a_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("mimic.view.scene.viewer.display_available", lambda: False)
-    (tmp_path / "scene.rrd").touch()
+    (tmp_path / "scene.rrd").write_bytes(COMPLETE)
     assert open_viewer(tmp_path / "scene.rrd") is False
 
 
 def test_a_missing_scene_is_named(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match=r"no\.rrd"):
         open_viewer(tmp_path / "no.rrd")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [(COMPLETE[:-8], "is cut short; copy it again"), (b"", "is no Rerun scene"), (b"PK", "is no")]
+)
+def test_a_damaged_scene_is_not_shown(tmp_path: Path, content: bytes, said: str) -> None:
+    scene = tmp_path / "scene.rrd"
+    scene.write_bytes(content)
+    for show in (open_viewer, lambda path: serve_scene(path, print)):
+        with pytest.raises(AssetError, match=said):
+            show(scene)
 
 
 @pytest.mark.slow
@@ -70,6 +83,6 @@ def test_a_viewer_listens_on_this_computer_only(monkeypatch: pytest.MonkeyPatch,
     started: list[list[str]] = []
     monkeypatch.setattr("subprocess.Popen", lambda words, **_: started.append(words))
     monkeypatch.setattr("mimic.view.scene.viewer.display_available", lambda: True)
-    (tmp_path / "scene.rrd").touch()
+    (tmp_path / "scene.rrd").write_bytes(COMPLETE)
     assert open_viewer(tmp_path / "scene.rrd")
     assert started[0][-2:] == ["--bind", "127.0.0.1"]
