@@ -28,10 +28,10 @@ from mimic.sysid.engine.screen import applicable, wanted
 from mimic.sysid.engine.search import (
     Hunt,
     Outcome,
-    Parts,
     baseline,
     by_log,
     fitted_baseline,
+    named,
     search,
     spread,
 )
@@ -42,7 +42,6 @@ from mimic.sysid.next_motion import NextMotion, next_motion
 from mimic.sysid.result import (
     Alternative,
     Calibration,
-    Candidate,
     Correlations,
     Errors,
     Found,
@@ -134,7 +133,7 @@ def calibrate(
     coarse = _coarse(outcome, settings, hunt.most)
     found = _found(outcome, coarse)
     joints = data.machine.joints
-    alternatives = tuple(Alternative(effects=_named(tied.effects, joints), behind=by) for tied, by in outcome.ties)
+    alternatives = tuple(Alternative(effects=named(tied.effects, tied), behind=by) for tied, by in outcome.ties)
     further = _next_motion(outcome, logs) if matches else None
     nominal = spread(start.evaluated())
     errors = {one: _errors(one, outcome) for one in ("before", "after")}
@@ -160,7 +159,7 @@ def calibrate(
         final=errors["after"],
         found=found,
         alternatives=alternatives,
-        tried=_stages(hunt, joints),
+        tried=_stages(hunt),
         explained=outcome.explained,
         effects=_effects(outcome, coarse),
         unexplained=rest,
@@ -242,21 +241,13 @@ def _found(outcome: Outcome, coarse: BoolArray) -> tuple[Found, ...]:
     found = []
     for part in outcome.parts:
         removed = beyond(part.without.model.left_out()) - beyond(outcome.after)
-        where = _named(((part.name, part.joints),), joints)[0][1]
+        ((_, where),) = named(((part.name, part.joints),), model)
         share = float(np.clip(removed / whole, 0.0, 1.0))
         found.append(Found(name=part.name, joints=where, evidence=part.evidence, share=share))
     if coarse.any():
         where = tuple(np.array(joints)[coarse].tolist())
         found.append(Found(name="encoder_step", joints=where, evidence=0.0, share=0.0))
     return tuple(found)
-
-
-def _named(parts: Parts, joints: Sequence[str]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return effects with the names of their joints, none for the whole machine."""
-    named = []
-    for name, own in parts:
-        named.append((name, tuple(joints[j] for j in own if j >= 0)))
-    return tuple(named)
 
 
 def _next_motion(outcome: Outcome, logs: Sequence[JointLog]) -> NextMotion | None:
@@ -268,16 +259,12 @@ def _next_motion(outcome: Outcome, logs: Sequence[JointLog]) -> NextMotion | Non
     return next_motion(model.data.machine, logs, outcome.noise, effects_of(model), effects_of(rival))
 
 
-def _stages(hunt: Hunt, joints: Sequence[str]) -> tuple[Stage, ...]:
-    """Return what was tried beside each set of effects; of each effect the best joints, fitted where one was."""
-    kept: dict[Parts, dict[str, Candidate]] = {}
-    for one in sorted(hunt.tried, key=lambda a: (not a.fitted, -a.gain)):
-        where = _named(((one.name, one.joints),), joints)[0][1]
-        candidate = Candidate(name=one.name, joints=where, gain=one.gain, fitted=one.fitted)
-        kept.setdefault(one.beside, {}).setdefault(one.name, candidate)
+def _stages(hunt: Hunt) -> tuple[Stage, ...]:
+    """Return what was tried beside each set of effects."""
     stages = []
-    for beside, own in sorted(kept.items(), key=lambda item: len(item[0])):
-        stages.append(Stage(beside=tuple(name for name, _ in beside), candidates=tuple(own.values())))
+    for beside, own in sorted(hunt.tried.items(), key=lambda item: len(item[0])):
+        candidates = tuple(sorted(own.values(), key=lambda one: (not one.fitted, -one.gain)))
+        stages.append(Stage(beside=tuple(name for name, _ in beside), candidates=candidates))
     return tuple(stages)
 
 

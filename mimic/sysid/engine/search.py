@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
-from mimic.records import FloatArray
+from mimic.records import FloatArray, IntArray
 from mimic.sysid.engine.data import Data
 from mimic.sysid.engine.effects import SURE
 from mimic.sysid.engine.laws import ROW
@@ -23,6 +23,7 @@ from mimic.sysid.engine.likelihood import FOLLOWING, misfit, scales
 from mimic.sysid.engine.model import Free, Model, Setting, to_fit
 from mimic.sysid.engine.screen import Found, Screen, wanted, with_effect
 from mimic.sysid.log.timing import SendingTimes
+from mimic.sysid.result import EXPLAINED, Candidate
 
 FARTHEST = 3.0
 """Standard deviations of what is plausible beyond which a number of the baseline does not go: beyond, something else is
@@ -53,9 +54,6 @@ MATERIAL = 0.1
 NOISY = 1.03
 """Plain replay over the noise in all joints below which nothing is looked for."""
 
-EXPLAINED = 1.5
-"""The same up to which what was found explains a machine."""
-
 MOST = 0.9
 """Or share of the squared error beyond the noise that it must remove."""
 
@@ -77,19 +75,6 @@ Parts = tuple[tuple[str, tuple[int, ...]], ...]
 """Effects and their joints."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Attempt:
-    """An effect that was tried beside others."""
-
-    beside: Parts
-    name: str
-    joints: tuple[int, ...]
-    gain: float
-    """By how much it predicts better, numbers paid [nats of independent readings]: of a linear step or, for those that
-    this said most of, of a fit."""
-    fitted: bool
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hunt:
     """What is looked for, and what was tried."""
@@ -100,7 +85,8 @@ class Hunt:
     arrivals: bool = True
     """Whether targets that never arrived are looked for."""
     say: Callable[[str], None] = print
-    tried: list[Attempt] = field(default_factory=list)
+    tried: dict[Parts, dict[str, Candidate]] = field(default_factory=dict)
+    """Beside which effects each was tried in its best joints, fitted where one was."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -307,16 +293,15 @@ def _pruned(model: Model) -> Model:
 
 def spread(model: Model, e: FloatArray | None = None) -> FloatArray:
     """Return the root mean square in each joint (J,) of innovations (T, J), by default the model's."""
-    e = np.where(model.data.counts, np.nan_to_num(model.e if e is None else e), 0.0)
-    return np.sqrt((e**2).sum(0) / np.maximum(model.data.counts.sum(0), 1))
+    return by_log(model, e, np.zeros(len(model.data.record.t), dtype=int))[0]
 
 
-def by_log(model: Model, e: FloatArray | None = None) -> FloatArray:
+def by_log(model: Model, e: FloatArray | None = None, log: IntArray | None = None) -> FloatArray:
     """Return the root mean square in each log and joint (L, J) of errors (T, J), by default the model's."""
-    e = np.where(model.data.counts, np.nan_to_num(model.e if e is None else e), 0.0)
-    log = model.data.record.log
-    rows = [(log == k, model.data.counts[log == k]) for k in range(model.data.logs)]
-    return np.stack([np.sqrt((e[own] ** 2).sum(0) / np.maximum(counts.sum(0), 1)) for own, counts in rows]) + 1e-12
+    e = np.nan_to_num(model.e if e is None else e)
+    log = model.data.record.log if log is None else log
+    rows = [model.data.counts & (log == k)[:, None] for k in range(log[-1] + 1)]
+    return np.sqrt([(e**2).sum(0, where=own) / np.maximum(own.sum(0), 1) for own in rows]) + 1e-12
 
 
 def noise_of(model: Model) -> FloatArray:
@@ -533,16 +518,9 @@ def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
     for one in sorted(Screen(model).run(hunt.effects), key=lambda f: now.repeats * PRICE * f.numbers - f.gain):
         if sum(other.name == one.name for other in chosen) < SETS and (one.gain > 0.0 or one.rough):
             chosen.append(one)
-    hunt.tried.extend(
-        Attempt(
-            beside=model.effects,
-            name=one.name,
-            joints=one.joints,
-            gain=one.gain / now.repeats - PRICE * one.numbers,
-            fitted=False,
-        )
-        for one in chosen
-    )
+    tried = hunt.tried.setdefault(model.effects, {})
+    for one in chosen[::-1]:
+        tried[one.name] = _candidate(model, one.name, one.joints, one.gain / now.repeats - PRICE * one.numbers, False)
     chosen = [f for k, f in enumerate(chosen) if k < FIRST or f.gain <= 0.0]
     enough = max(1.0, 0.1 * now.repeats)
     fits = [with_effect(model, one).fitted(0, enough) for one in chosen]
@@ -551,11 +529,15 @@ def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
         fits = sorted(refined, key=lambda m: m.cost + now.repeats * PRICE * len(m.free))[:left]
     made = ranked([scored(one.settled(8, enough)) for one in fits])
     made = ranked([trimmed(one) for one in made[:2]] + made[2:])
-    for one in made:
-        name, joints = one.model.effects[-1]
-        gain = one.over(now)
-        hunt.tried.append(Attempt(beside=model.effects, name=name, joints=joints, gain=gain, fitted=True))
+    for other in made[::-1]:
+        name, joints = other.model.effects[-1]
+        tried[name] = _candidate(model, name, joints, other.over(now), True)
     return made
+
+
+def _candidate(model: Model, name: str, joints: tuple[int, ...], gain: float, fitted: bool) -> Candidate:
+    ((_, where),) = named(((name, joints),), model)
+    return Candidate(name=name, joints=where, gain=gain, fitted=fitted)
 
 
 def better(new: Scored, old: Scored) -> bool:
@@ -613,9 +595,11 @@ def without(model: Model, null: Model, name: str, joints: tuple[int, ...]) -> Mo
 
 def describe(model: Model) -> str:
     """Return the effects of a model in words."""
-    joints = model.data.machine.joints
-    said = []
-    for name, own in model.effects:
-        where = ", ".join(joints[j] for j in own if j >= 0)
-        said.append(f"{name} ({where})" if where else name)
+    said = [f"{name} ({', '.join(own)})" if own else name for name, own in named(model.effects, model)]
     return " + ".join(said) or "nothing"
+
+
+def named(parts: Parts, model: Model) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return effects with the names of their joints, none for the whole machine."""
+    joints = model.data.machine.joints
+    return tuple((name, tuple(joints[j] for j in own if j >= 0)) for name, own in parts)
