@@ -21,13 +21,13 @@ from mimic.jobs.local import cores
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.engine.data import Data, data_of
 from mimic.sysid.engine.effects import dependences, effects_of, motion_of
-from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.model import Model, setting_of
 from mimic.sysid.engine.predictor import compiled
 from mimic.sysid.engine.screen import applicable, wanted
 from mimic.sysid.engine.search import (
     Hunt,
     Outcome,
+    Scored,
     baseline,
     by_log,
     fitted_baseline,
@@ -136,27 +136,27 @@ def calibrate(
     alternatives = tuple(Alternative(effects=named(tied.effects, tied), behind=by) for tied, by in outcome.ties)
     further = _next_motion(outcome, logs) if matches else None
     nominal = spread(start.evaluated())
-    errors = {one: _errors(one, outcome) for one in ("before", "after")}
+    before = _errors(outcome.null)
+    after = _errors(outcome.best)
     motion = motion_of(outcome.best.model)
     rest = tuple(
         UnexplainedResidual(joint=joint, ratio=float(ratio), torque=float(torque), depends_on=on)
         for joint, ratio, torque, on in zip(
             joints,
-            errors["after"].held_out / outcome.noise,
+            after.held_out / outcome.noise,
             np.sqrt(np.mean(motion.unknown**2, axis=0)),
             dependences(outcome.best.model, motion),
             strict=True,
         )
     )
-    floor = Errors(train=outcome.noise, held_out=outcome.noise)
-    said = fall(errors["before"], errors["after"], floor, data.machine.unit)
+    said = fall(before.held_out, after.held_out, outcome.noise, data.machine.unit)
     return Calibration(
         joints=joints,
         unit=data.machine.unit,
         noise=outcome.noise,
         nominal=Errors(train=nominal, held_out=nominal),
-        baseline=errors["before"],
-        final=errors["after"],
+        baseline=before,
+        final=after,
         found=found,
         alternatives=alternatives,
         tried=_stages(hunt),
@@ -215,17 +215,15 @@ def _check_bounds(names: Sequence[str], machine: MachineModel) -> None:
                 )
 
 
-def _errors(which: str, outcome: Outcome) -> Errors:
-    model = (outcome.null if which == "before" else outcome.best).model
-    left_out = getattr(outcome, which)
-    return Errors(train=spread(model), held_out=spread(model, left_out))
+def _errors(one: Scored) -> Errors:
+    return Errors(train=spread(one.model), held_out=spread(one.model, one.left_out))
 
 
 def _coarse(outcome: Outcome, settings: CalibrateSettings, most: int) -> BoolArray:
     """Return the joints (J,) with an encoder so coarse that it matters beside what is left."""
     model = outcome.best.model
     asked = most > 0 and (not settings.effects or "encoder_step" in settings.effects)
-    left = spread(model, outcome.after)
+    left = spread(model, outcome.best.left_out)
     return (model.data.encoder_steps / np.sqrt(12.0) > ROUNDING * left) & asked
 
 
@@ -234,15 +232,14 @@ def _found(outcome: Outcome, coarse: BoolArray) -> tuple[Found, ...]:
     model = outcome.best.model
     joints = model.data.machine.joints
 
-    def beyond(e: FloatArray) -> float:
-        return max(Errors.total(spread(model, e)) ** 2 - Errors.total(outcome.noise) ** 2, 1e-30)
+    def beyond(one: Scored) -> float:
+        return max(Errors.total(spread(model, one.left_out)) ** 2 - Errors.total(outcome.noise) ** 2, 1e-30)
 
-    whole = beyond(outcome.before)
     found = []
     for part in outcome.parts:
-        removed = beyond(part.without.model.left_out()) - beyond(outcome.after)
+        removed = beyond(part.without) - beyond(outcome.best)
         ((_, where),) = named(((part.name, part.joints),), model)
-        share = float(np.clip(removed / whole, 0.0, 1.0))
+        share = float(np.clip(removed / beyond(outcome.null), 0.0, 1.0))
         found.append(Found(name=part.name, joints=where, evidence=part.evidence, share=share))
     if coarse.any():
         where = tuple(np.array(joints)[coarse].tolist())
@@ -295,9 +292,9 @@ def _warnings(model: Model) -> tuple[str, ...]:
     lines = []
     joints = model.data.machine.joints
     for f in model.free:
-        p = CATALOGUE[f.key[0]].parameter(f.key[1])
-        value = float(model.table[ROW[f.key], max(f.joint, 0)])
-        none = float(model.setting.blank[ROW[f.key], max(f.joint, 0)])
+        p = f.parameter
+        value = float(model.table[f.cell])
+        none = float(model.setting.blank[f.cell])
         if value in (p.low, p.high) and value not in (none, 0.0, UNLIMITED):
             end = "largest" if value == p.high else "smallest"
             lines.append(
@@ -331,8 +328,8 @@ def _traces(outcome: Outcome, speed: FloatArray, torque: FloatArray) -> Traces:
         q=data.log.q,
         dq=speed,
         tau=torque,
-        before=np.where(data.counts, outcome.before, np.nan),
-        after=np.where(data.counts, outcome.after, np.nan),
+        before=np.where(data.counts, outcome.null.left_out, np.nan),
+        after=np.where(data.counts, outcome.best.left_out, np.nan),
         target=data.log.q_des,
         log=None if data.logs == 1 else data.record.log,
         **torques,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -130,7 +129,9 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
     fresh = np.concatenate([[True], (np.diff(which) > 0) | (np.diff(t) > GAP)])
     since = t - t[np.maximum.accumulate(np.where(fresh, np.arange(len(t)), 0))]
     block = _blocks(t, which)
-    motors = motors_of(machine)
+    drives = machine.drives
+    none = np.zeros(len(machine.joints))
+    volts = none if drives.volts is None else np.asarray(drives.volts, dtype=float)
     record = Record(
         t=t,
         y=np.where(known, log.q, np.nan),
@@ -143,11 +144,14 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         goal=np.zeros((0, len(machine.joints))),
         force=np.zeros_like(log.q) if log.force is None else np.array(log.force),
         on=enabled(log).astype(float),
-        supply=_supply(together, motors["volts"]),
+        supply=_supply(together, volts),
         kp=together.kp,
         kd=together.kd,
         payload=together.payload,
-        **motors,
+        volts=volts,
+        kt=none + (1.0 if drives.kt is None else drives.kt),
+        ohm=none + (1.0 if drives.resistance is None else drives.resistance),
+        neighbour=np.asarray(drives.neighbour),
     )
     steps, noise = _encoders(log)
     sending = together.sending if log.q_des is not None else (at_rows(log),)
@@ -167,18 +171,6 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         times=sending[0],
     )
     return made.sent_at(sending[0])
-
-
-def motors_of(machine: MachineModel) -> dict[str, Any]:
-    """Return what a record holds of the motors of a machine, each (J,)."""
-    d = machine.drives
-    none = np.zeros(len(machine.joints))
-    return {
-        "volts": none if d.volts is None else np.asarray(d.volts, dtype=float),
-        "kt": none + 1.0 if d.kt is None else np.asarray(d.kt, dtype=float),
-        "ohm": none + 1.0 if d.resistance is None else np.asarray(d.resistance, dtype=float),
-        "neighbour": np.asarray(d.neighbour),
-    }
 
 
 def _encoders(log: JointLog) -> tuple[FloatArray, FloatArray]:

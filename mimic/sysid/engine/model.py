@@ -61,6 +61,16 @@ class Free:
     within: float = np.inf
     """Most by which it may differ from that."""
 
+    @property
+    def parameter(self) -> Parameter:
+        """What the catalogue says of it."""
+        return CATALOGUE[self.key[0]].parameter(self.key[1])
+
+    @property
+    def cell(self) -> tuple[int, int]:
+        """Where it is in a table of numbers; one of the whole machine is the same in all joints."""
+        return ROW[self.key], self.joint
+
 
 class Passes:
     """Runs passes over data, chain by chain: what a chain did at the same numbers before is known."""
@@ -159,7 +169,7 @@ class Setting:
     def width(self, key: Key, j: int) -> tuple[float, float]:
         """Return how far from where a number is plausible, in what is fitted, and where; inf where anything is."""
         p = CATALOGUE[key[0]].parameter(key[1])
-        centre = to_fit(p, float(self.blank[ROW[key], max(j, 0)]))
+        centre = to_fit(p, float(self.blank[ROW[key], j]))
         if relative(p):
             return float(np.log(10.0)), centre
         if p.inverse or (CATALOGUE[key[0]].structural and p.neutral == MODEL):
@@ -232,14 +242,14 @@ class Model:
 
     def values(self) -> FloatArray:
         """Return what is fitted (P,)."""
-        return np.array([to_fit(_parameter(f), float(self.table[ROW[f.key], max(f.joint, 0)])) for f in self.free])
+        return np.array([to_fit(f.parameter, float(self.table[f.cell])) for f in self.free])
 
     def at(self, x: FloatArray) -> FloatArray:
         """Return the table of numbers at these values (P,)."""
         table = self.table.copy()
         for f, value in zip(self.free, x, strict=True):
             where = slice(None) if f.joint < 0 else f.joint
-            table[ROW[f.key], where] = from_fit(_parameter(f), float(np.clip(value, *_ends(f))))
+            table[ROW[f.key], where] = from_fit(f.parameter, float(np.clip(value, *_ends(f))))
         return table
 
     def implausible(self, x: FloatArray) -> float:
@@ -482,11 +492,6 @@ class Model:
             e[rows] = replace(known, columns=now.columns).fitted(0).e[rows]
         return e
 
-    def held_out(self) -> FloatArray:
-        """Return the log density of the readings of each block (B,) under fits without their folds."""
-        e = self.left_out()
-        return np.bincount(self.data.block, -misfit(e, scales(e, self.data), self.data).sum(axis=1)).astype(float)
-
 
 def _damped(hessian: FloatArray, descent: FloatArray, moves: BoolArray, damping: float) -> FloatArray:
     """Return a step of Levenberg and Marquardt (P,) of the numbers that move."""
@@ -496,13 +501,9 @@ def _damped(hessian: FloatArray, descent: FloatArray, moves: BoolArray, damping:
     return by
 
 
-def _parameter(f: Free) -> Parameter:
-    return CATALOGUE[f.key[0]].parameter(f.key[1])
-
-
 def _ends(f: Free) -> tuple[float, float]:
     """Return the least and greatest of what is fitted."""
-    p = _parameter(f)
+    p = f.parameter
     low, high = (float(np.log(p.low)), float(np.log(p.high))) if relative(p) else p.bounds
     return max(low, f.centre - f.within), min(high, f.centre + f.within)
 

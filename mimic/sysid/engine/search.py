@@ -94,6 +94,8 @@ class Scored:
     """A fitted model, judged by what it predicts of blocks that were left out."""
 
     model: Model
+    left_out: FloatArray
+    """Errors, each fold under a fit without it (T, J)."""
     density: FloatArray
     """Log density of each block, left out (B,) [nats]."""
     implausible: float
@@ -171,10 +173,6 @@ class Outcome:
     """Its effects."""
     ties: tuple[tuple[Model, float], ...]
     """Other explanations that the logs do not tell from it, and by how much they are worse [nats]."""
-    before: FloatArray
-    """Errors of the baseline, each fold fitted without it (T, J)."""
-    after: FloatArray
-    """Of what was found (T, J)."""
     noise: FloatArray
     """What is left at readings that follow each other (J,)."""
     explained: bool
@@ -222,9 +220,12 @@ def _within(setting: Setting, key: tuple[str, str], tolerance: float) -> list[Fr
 def scored(model: Model) -> Scored:
     """Return a fitted model with its score."""
     model = replace(_pruned(model), columns=None).differentiated()  # those of a fit tell its way, not errors of numbers
+    e = model.left_out()
+    said = misfit(e, scales(e, model.data), model.data).sum(axis=1)
     return Scored(
         model=model,
-        density=model.held_out(),
+        left_out=e,
+        density=-np.bincount(model.data.block, said),
         implausible=model.implausible(model.values()),
         numbers=model.numbers(),
         repeats=model.repeats(),
@@ -263,8 +264,8 @@ def _beside(model: Model) -> dict[int, float]:
     """Return how far numbers are from none that an effect can do without, by their places."""
     far = {}
     for k, by in _from_none(model).items():
-        name, parameter = model.free[k].key
-        if parameter != wanted(name)[0].name and CATALOGUE[name].parameter(parameter).neutral != MODEL:
+        f = model.free[k]
+        if f.parameter is not wanted(f.key[0])[0] and f.parameter.neutral != MODEL:
             far[k] = by
     return far
 
@@ -274,20 +275,14 @@ def _from_none(model: Model) -> dict[int, float]:
     far = {}
     names = dict(model.effects)
     for k, (f, x) in enumerate(zip(model.free, model.values(), strict=True)):
-        p = CATALOGUE[f.key[0]].parameter(f.key[1])
-        if f.key[0] in names and not p.shape:
-            far[k] = float(x) - to_fit(p, float(model.setting.blank[ROW[f.key], max(f.joint, 0)]))
+        if f.key[0] in names and not f.parameter.shape:
+            far[k] = float(x) - to_fit(f.parameter, float(model.setting.blank[f.cell]))
     return far
 
 
 def _pruned(model: Model) -> Model:
     """Return a model without the numbers that ended at a bound that means none."""
-    kept = []
-    for f in model.free:
-        p = CATALOGUE[f.key[0]].parameter(f.key[1])
-        value = model.table[ROW[f.key], max(f.joint, 0)]
-        if not (p.inverse and value >= p.high):
-            kept.append(f)
+    kept = [f for f in model.free if not (f.parameter.inverse and model.table[f.cell] >= f.parameter.high)]
     return model if len(kept) == len(model.free) else replace(model, free=tuple(kept), columns=None)
 
 
@@ -328,19 +323,16 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
         by = best.apart(one)
         if by < max(TIED, best.unsure(one)) and one.model.effects != best.model.effects:
             ties[one.model.effects] = one.model, by
-    before = null.model.left_out()
-    after = best.model.left_out()
     noise = noise_of(best.model)
-    beyond = [np.maximum((spread(null.model, e) / noise) ** 2 - 1.0, 0.0).sum() for e in (before, after)]
+    left = [spread(one.model, one.left_out) / noise for one in (null, best)]
+    beyond = [np.maximum(ratio**2 - 1.0, 0.0).sum() for ratio in left]
     return Outcome(
         null=null,
         best=best,
         parts=(*(_part(best, null, dropped, *one) for one in best.model.effects), *_lost(best)),
         ties=tuple(ties.values()),
-        before=before,
-        after=after,
         noise=noise,
-        explained=bool((spread(null.model, after) / noise).max() < EXPLAINED or beyond[1] < (1.0 - MOST) * beyond[0]),
+        explained=bool(left[1].max() < EXPLAINED or beyond[1] < (1.0 - MOST) * beyond[0]),
     )
 
 
