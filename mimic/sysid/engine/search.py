@@ -594,4 +594,7 @@ def describe(model: Model) -> str:
 def named(parts: Parts, model: Model) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return effects with the names of their joints, none for the whole machine."""
     joints = model.data.machine.joints
-    return tuple((name, tuple(joints[j] for j in own if j >= 0)) for name, own in parts)
+    made = []
+    for name, own in parts:
+        made.append((name, tuple(joints[j] for j in own if j >= 0)))
+    return tuple(made)
