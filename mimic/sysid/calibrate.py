@@ -37,7 +37,7 @@ from mimic.sysid.engine.search import (
 )
 from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.noise import MOST
-from mimic.sysid.log.pool import pool
+from mimic.sysid.log.pool import SHORTEST, lasts, pool
 from mimic.sysid.next_motion import NextMotion, next_motion
 from mimic.sysid.result import (
     Alternative,
@@ -105,6 +105,11 @@ def calibrate(
     logs = [one.of(model.joints) for one in ([log] if isinstance(log, JointLog) else log)]
     others = [one.of(model.joints) for one in held_out]
     called = tuple(names) or tuple(f"log {i + 1}" for i in range(len(logs) + len(others)))
+    if not lasts(*logs):
+        raise CalibrationError(
+            f"what is logged lasts {sum(one.duration for one in logs):.2f} s by the column t (in seconds);"
+            f" {SHORTEST:g} s are needed, 120 s are good"
+        )
     if others:
         pool([*logs, *others], model, called)  # they may contradict each other
     data = data_of(logs, model, called[: len(logs)])
@@ -119,7 +124,8 @@ def calibrate(
     say("fitting the baseline" if compiled() else "compiling the engine, once, and fitting the baseline")
     start = baseline(setting, plain)
     null = fitted_baseline(start, given)
-    follows, why = targets_match_log(data.log)
+    long = np.array([lasts(one) for one in logs])[data.record.log]
+    follows, why = targets_match_log(data.log.part(long)) if long.any() else (True, "")
     size = np.maximum(np.nanstd(data.record.y, axis=0), data.noise)
     matches = follows and Errors.total(spread(null.model) / size) < MOST
     hunt = Hunt(

@@ -107,6 +107,9 @@ def valid_samples(log: JointLog) -> BoolArray:
 BETWEEN = 1.0
 """Time between the logs of a pool [s]: a gap, so that it must be more than two readings are apart."""
 
+SHORTEST = 5.0
+"""Least length of all logs together, and of one in which what follows what can be told [s]."""
+
 ENABLED = "enabled"
 """Column, of all joints or with a joint's name after a point: 0 while the drive is switched off."""
 
@@ -141,6 +144,11 @@ def enabled(log: JointLog) -> BoolArray:
     return np.stack([np.nan_to_num(log.extra.get(f"{ENABLED}.{j}", everywhere), nan=1.0) != 0 for j in log.joints], -1)
 
 
+def lasts(*logs: JointLog) -> bool:
+    """Return whether logs last long enough together; one of 5 s ends a target before."""
+    return round(sum(log.duration for log in logs), 1) >= SHORTEST
+
+
 def followed(log: JointLog) -> FloatArray | None:
     """Return the targets (T, J), and readings where no drive follows them."""
     return None if log.q_des is None else np.where(enabled(log), log.q_des, log.q)
@@ -164,8 +172,8 @@ def pool(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] = (
     machines = [as_logged(model, log.metadata, by_force=log.q_des is None) for log in logs]
     volts = [_number(log.metadata.get(VOLTAGE), VOLTAGE, name) for log, name in zip(logs, names, strict=True)]
     loads = [_payload(log.metadata, one, name) for log, one, name in zip(logs, machines, names, strict=True)]
-    lasts = np.cumsum([log.t[-1] - log.t[0] + BETWEEN for log in logs])
-    begins = np.concatenate([[0.0], lasts[:-1]])
+    ends = np.cumsum([log.t[-1] - log.t[0] + BETWEEN for log in logs])
+    begins = np.concatenate([[0.0], ends[:-1]])
     rows = [len(log.t) for log in logs]
     common = [n for n in CHANNELS if all(getattr(log, n) is not None for log in logs)]
     keep = {n for log in logs for n in log.extra if n in (UNREAD, VOLTAGE) or n.split(".")[0] == ENABLED}

@@ -59,9 +59,14 @@ class SendingTimes:
     """How many targets never arrived: these are left out."""
 
     def without(self, lost: IntArray) -> SendingTimes:
-        """Return the times without some targets."""
-        kept = np.delete(np.arange(len(self.at)), lost)
-        return replace(self, rows=self.rows[kept], at=self.at[kept], lost=self.lost + len(lost))
+        """Return the times without some targets; one that stays is sent again, and arrives a period later."""
+        after = np.append(np.diff(self.at), np.inf)
+        period = np.median(after)
+        again = after[lost] > 1.5 * period
+        at = self.at.copy()
+        at[lost[again]] += period
+        kept = np.delete(np.arange(len(at)), lost[~again])
+        return replace(self, rows=self.rows[kept], at=at[kept], lost=self.lost + len(lost))
 
 
 def first_rows(q_des: FloatArray) -> IntArray:
