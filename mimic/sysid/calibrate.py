@@ -124,10 +124,7 @@ def calibrate(
     say("fitting the baseline" if compiled() else "compiling the engine, once, and fitting the baseline")
     start = baseline(setting, plain)
     null = fitted_baseline(start, given)
-    long = np.array([lasts(one) for one in logs])[data.record.log]
-    follows, why = targets_match_log(data.log.part(long)) if long.any() else (True, "")
-    size = np.maximum(np.nanstd(data.record.y, axis=0), data.noise)
-    matches = follows and Errors.total(spread(null.model) / size) < MOST
+    matches, why = _matches(null.model, logs)
     hunt = Hunt(
         effects=_looked_for(settings, applicable(setting, (*plain, *given))),
         most=settings.most_effects if matches else 0,
@@ -188,6 +185,15 @@ def calibrate(
             "sending_times": outcome.best.model.data.times.how,
         },
     )
+
+
+def _matches(model: Model, logs: Sequence[JointLog]) -> tuple[bool, str]:
+    """Return whether a baseline tells most of the logs, and why not; what follows what, long ones tell."""
+    data = model.data
+    long = np.array([lasts(one) for one in logs])[data.record.log]
+    follows, why = targets_match_log(data.log.part(long)) if long.any() else (True, "")
+    size = np.maximum(np.nanstd(data.record.y, axis=0), data.noise)
+    return follows and Errors.total(spread(model) / size) < MOST, why
 
 
 def _baseline_names(data: Data, settings: CalibrateSettings) -> tuple[tuple[str, ...], tuple[str, ...]]:
