@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
 from mimic.config.sysid import CalibrateSettings
-from mimic.dynamics.catalogue import CATALOGUE, effect
+from mimic.dynamics.catalogue import effect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import UNLIMITED, MachineModel
 from mimic.dynamics.servo import neutral
@@ -19,6 +19,7 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.jobs.local import cores
 from mimic.records import BoolArray, FloatArray
+from mimic.sysid.engine.arrivals import ARRIVALS
 from mimic.sysid.engine.data import Data, data_of
 from mimic.sysid.engine.effects import dependences, effects_of, motion_of
 from mimic.sysid.engine.model import Model, setting_of
@@ -128,7 +129,7 @@ def calibrate(
     hunt = Hunt(
         effects=_looked_for(settings, applicable(setting, (*plain, *given))),
         most=settings.most_effects if matches else 0,
-        arrivals="lost_commands" in (settings.effects or CATALOGUE),
+        arrivals=_looked_for(settings, tuple(ARRIVALS)),
         say=say,
     )
     outcome = search(null, hunt)
@@ -283,7 +284,8 @@ def _effects(outcome: Outcome, coarse: BoolArray) -> EffectSet:
     effects = []
     for one in effects_of(outcome.best.model):
         if one.name == "delay" and "time" in one.intervals:  # when targets were sent is not known better
-            low, high = one.intervals["time"].T
+            one = replace(one, values={"time": one.values["time"] - data.times.spread / 2.0})
+            low, high = one.intervals["time"].T - data.times.spread / 2.0
             low = np.maximum(low - data.times.later, np.minimum(low, 0.0))
             one = replace(one, intervals={"time": np.stack([low, high + data.times.earlier], -1)})
         effects.append(one)
@@ -292,6 +294,9 @@ def _effects(outcome: Outcome, coarse: BoolArray) -> EffectSet:
         values = {"share": np.array([lost / count])}
         intervals = {"share": np.array([binomtest(lost, count).proportion_ci()])}
         effects.append(EffectValues(name="lost_commands", joints=(), values=values, intervals=intervals, role="fitted"))
+    if data.times.spread:
+        values = {"spread": np.array([data.times.spread])}
+        effects.append(EffectValues(name="delay_jitter", joints=(), values=values, intervals={}, role="fitted"))
     if coarse.any():
         joints = tuple(np.array(data.machine.joints)[coarse].tolist())
         values = {"angle": data.encoder_steps[coarse]}

@@ -318,6 +318,16 @@ def test_targets_that_never_arrived_are_found(arm: MachineModel) -> None:
     assert all(r.explained for r in result.unexplained)
 
 
+def test_a_delay_of_its_own_for_each_target_is_found(arm: MachineModel) -> None:
+    hidden = EffectValues(name="delay_jitter", values={"spread": np.array([0.012])})
+    result = calibrate(log_of(arm, hidden), arm, settings(effects=("delay_jitter", "lost_commands")))
+    assert result.names == ("delay_jitter",)
+    effects = {e.name: e for e in result.effects}
+    assert effects["delay_jitter"].values["spread"][0] == pytest.approx(0.012, rel=0.2)
+    assert effects["delay"].values["time"][0] == pytest.approx(0.011, abs=0.002)
+    assert all(r.explained for r in result.unexplained)
+
+
 @pytest.mark.slow
 def test_a_torque_that_wanders_slowly_is_called_nothing(arm: MachineModel) -> None:
     """Forgotten after 3 s, it looks like a constant torque over much of a log: a difference of friction."""

@@ -240,6 +240,11 @@ class Model:
         """Corrections of a pass (L, 2, 2, J, 3)."""
         return self.setting.gains.of(self.unknown)
 
+    def over(self, data: Data) -> Model:
+        """Return the model after a pass over other data of the same logs."""
+        setting = replace(self.setting, passes=self.setting.passes.of(data))
+        return replace(self, setting=setting, columns=None).evaluated()
+
     def values(self) -> FloatArray:
         """Return what is fitted (P,)."""
         return np.array([to_fit(f.parameter, float(self.table[f.cell])) for f in self.free])
@@ -329,9 +334,9 @@ class Model:
         return hessian, descent
 
     def numbers(self) -> float:
-        """Return how many numbers the logs determine, beside what is plausible of them; a lost target is one."""
+        """Return how many numbers the logs determine, beside what is plausible of them, those of targets too."""
         now = self.differentiated()
-        return now._share(now.normal()[0]) + self.data.times.lost
+        return now._share(now.normal()[0]) + self.data.times.told
 
     def _share(self, of: FloatArray) -> float:
         """Return the trace of a matrix (P, P) over the Hessian of the cost."""

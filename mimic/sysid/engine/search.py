@@ -12,17 +12,16 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray, IntArray
+from mimic.sysid.engine.arrivals import ARRIVALS, sent_at
 from mimic.sysid.engine.data import Data
 from mimic.sysid.engine.effects import SURE
 from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.likelihood import FOLLOWING, misfit, scales
 from mimic.sysid.engine.model import Free, Model, Setting, to_fit
 from mimic.sysid.engine.screen import Found, Screen, wanted, with_effect
-from mimic.sysid.log.timing import SendingTimes
 from mimic.sysid.result import EXPLAINED, Candidate
 
 FARTHEST = 3.0
@@ -56,9 +55,6 @@ TIED = 6.0
 """Nats of independent readings left out up to which two explanations are not told apart, or a 95 % interval of their
 difference if that is wider: odds of 400 to one."""
 
-HEARD = 0.4
-"""Time after which it does not matter any more that a target was lost [s]: as far apart they are tried together."""
-
 SURELY = 15.0
 """Nats by which other sending times must explain logs better than those before."""
 
@@ -73,8 +69,8 @@ class Hunt:
     effects: Sequence[str]
     most: int = STAGES
     """Most effects that are named."""
-    arrivals: bool = True
-    """Whether targets that never arrived are looked for."""
+    arrivals: Sequence[str] = ()
+    """Those on single targets, of `ARRIVALS`."""
     say: Callable[[str], None] = print
     tried: dict[Parts, dict[str, Candidate]] = field(default_factory=dict)
     """Beside which effects each was tried in its best joints, fitted where one was."""
@@ -335,12 +331,14 @@ def _from_there(one: Scored, best: Scored) -> Scored:
 
 
 def _lost(best: Scored) -> tuple[Part, ...]:
-    """Return that targets were lost, if they were."""
-    data = best.model.data
-    if not data.times.lost:
+    """Return what is said of single targets."""
+    times = best.model.data.times
+    said = {"lost_commands": times.lost, "delay_jitter": times.spread}
+    if not any(said.values()):
         return ()
-    other = scored(_sent_at(best.model, next(times for times in data.sending if times.how == data.times.how)))
-    return (Part(name="lost_commands", joints=(-1,), evidence=best.over(other), without=other),)
+    other = scored(sent_at(best.model, next(one for one in best.model.data.sending if one.how == times.how)))
+    evidence = PRICE * (other.numbers - best.numbers) + (best.likely - other.likely) / best.repeats
+    return tuple(Part(name=name, joints=(-1,), evidence=evidence, without=other) for name, told in said.items() if told)
 
 
 def _part(best: Scored, null: Scored, dropped: Sequence[Scored], name: str, joints: tuple[int, ...]) -> Part:
@@ -386,35 +384,12 @@ def _forwards(best: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
 
 
 def _arrived(best: Scored, hunt: Hunt) -> Scored:
-    """Return a model without the targets that never arrived, if it is better: each must pay as a number does."""
-    model = best.model
-    while hunt.arrivals:
-        said = _neglected(model)
-        lost = np.flatnonzero(said > best.repeats * PRICE)
-        if not len(lost):
-            break
-        model = _sent_at(model, model.data.times.without(lost))
-    if model is best.model:
-        return best
-    other = scored(model.settled())
-    return other if better(other, best) else best
-
-
-def _neglected(model: Model) -> FloatArray:
-    """Return by how much readings are likelier had each target not arrived (K,) [nats]; 0 beside one of which they say
-    more.
+    """Return a model with targets that arrived otherwise, if it is better and worth a name: of each number, its price
+    in readings as independent as the better model says.
     """
-    data = model.data
-    at = data.record.sent
-    said = np.zeros(len(at))
-    apart = int(np.ceil(HEARD / float(np.median(np.diff(at))))) if len(at) > 1 else 1
-    for first in range(1, min(apart + 1, len(at))):
-        tried = np.arange(first, len(at), apart)
-        other = _sent_at(model, data.times.without(tried))
-        by = (misfit(model.e, model.scale, data) - misfit(other.e, model.scale, data)).sum(axis=1)
-        after = np.searchsorted(at[tried], data.record.t, side="right")
-        said[tried] = np.bincount(after, by, len(tried) + 1)[1:]
-    return np.where(said == maximum_filter1d(said, 2 * apart + 1), said, 0.0)
+    made = [ARRIVALS[name](best.model, best.repeats * PRICE) for name in hunt.arrivals]
+    first, *_ = ranked([best, *(scored(one.settled()) for one in made if one is not best.model)])
+    return first if first is best or material(first, best) else best
 
 
 def _predicts(model: Model, null: Model) -> bool:
@@ -444,16 +419,10 @@ def _sent(model: Model) -> Model:
     """Return a model at the sending times that explain the logs best, of all that these allow."""
     best = model
     for times in model.data.sending if len(model.data.sending) > 1 else ():
-        other = _sent_at(model, times).fitted(2)
+        other = sent_at(model, times).fitted(2)
         if other.cost < best.cost - SURELY:
             best = other
     return best
-
-
-def _sent_at(model: Model, times: SendingTimes) -> Model:
-    """Return a model whose targets were sent at these times, not yet fitted."""
-    setting = replace(model.setting, passes=model.setting.passes.of(model.data.sent_at(times)))
-    return replace(model, setting=setting, columns=None).evaluated()
 
 
 def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
@@ -489,8 +458,13 @@ def better(new: Scored, old: Scored) -> bool:
     """Return whether a model is surely better, its numbers are surely not those of none, and it removes a share of the
     error of some joint that is worth a name.
     """
+    return new.over(old) >= TIED and material(new, old) and new.sure(old) >= TIED
+
+
+def material(new: Scored, old: Scored) -> bool:
+    """Return whether a model removes a share of the error of some joint that is worth a name."""
     share = np.exp(2.0 * np.mean(np.log(by_log(new.model) / by_log(old.model)), axis=0))
-    return new.over(old) >= TIED and bool(share.min() < 1.0 - MATERIAL) and new.sure(old) >= TIED
+    return bool(share.min() < 1.0 - MATERIAL)
 
 
 def backwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:

@@ -57,6 +57,10 @@ class SendingTimes:
     """The same for later."""
     lost: int = 0
     """How many targets never arrived: these are left out."""
+    spread: float = 0.0
+    """Range of the times by which each was late beside the others [s]."""
+    told: float = 0.0
+    """How many numbers readings determined in all that."""
 
     def without(self, lost: IntArray) -> SendingTimes:
         """Return the times without some targets; one that stays is sent again, and arrives a period later."""
@@ -66,7 +70,11 @@ class SendingTimes:
         at = self.at.copy()
         at[lost[again]] += period
         kept = np.delete(np.arange(len(at)), lost[~again])
-        return replace(self, rows=self.rows[kept], at=at[kept], lost=self.lost + len(lost))
+        return replace(self, rows=self.rows[kept], at=at[kept], lost=self.lost + len(lost), told=self.told + len(lost))
+
+    def late(self, by: FloatArray, spread: float, told: float) -> SendingTimes:
+        """Return the times with each target later by a time of its own (K,) [s], in their order."""
+        return replace(self, at=np.maximum.accumulate(self.at + by), spread=spread, told=self.told + told)
 
 
 def first_rows(q_des: FloatArray) -> IntArray:
