@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
@@ -76,11 +75,14 @@ def next_motion(
     high = targets.max(0)
     centre = (low + high) / 2
     tried = []
-    for kind, size in product(SECTIONS, SIZES):
-        moved = probe_targets(low, high, centre, seconds=SECONDS, rate_hz=EXACT.rate_hz, kind=kind, size=size)
-        made, other = (simulate_log(machine, moved.t, moved.q_des, one, EXACT) for one in (first, second))
-        apart = np.sqrt(((made.q - other.q) ** 2).mean(0)) / noise
-        most = int(np.argmax(apart))
-        log = replace(made, metadata={**made.metadata, "motion": kind})
-        tried.append(NextMotion(kind=kind, size=size, apart=float(apart[most]), joint=machine.joints[most], log=log))
+    for kind in SECTIONS:
+        for size in SIZES:
+            moved = probe_targets(low, high, centre, seconds=SECONDS, rate_hz=EXACT.rate_hz, kind=kind, size=size)
+            made, other = (simulate_log(machine, moved.t, moved.q_des, one, EXACT) for one in (first, second))
+            apart = np.sqrt(((made.q - other.q) ** 2).mean(0)) / noise
+            most = int(np.argmax(apart))
+            log = replace(made, metadata={**made.metadata, "motion": kind})
+            tried.append(
+                NextMotion(kind=kind, size=size, apart=float(apart[most]), joint=machine.joints[most], log=log)
+            )
     return max(tried, key=lambda one: one.apart)

@@ -212,7 +212,7 @@ def scored(model: Model) -> Scored:
     return Scored(
         model=model,
         left_out=e,
-        density=-np.bincount(model.data.block, said),
+        density=np.bincount(model.data.block, -said).astype(float),
         implausible=model.implausible(model.values()),
         numbers=model.numbers(),
         repeats=model.repeats(),
