@@ -39,6 +39,11 @@ LAST = 3
 SETS = 2
 """Sets of joints of one effect among them."""
 
+AGAIN = 2
+"""Effects that are taken out again, each alone, to look for others in their place: the first were found when most else
+was lacking.
+"""
+
 STAGES = 4
 """Most effects."""
 
@@ -54,6 +59,10 @@ MOST = 0.9
 TIED = 6.0
 """Nats of independent readings left out up to which two explanations are not told apart, or a 95 % interval of their
 difference if that is wider: odds of 400 to one."""
+
+RIVAL = 0.5
+"""Share of the gain of the best first effect from which another is followed to its end where a path does not explain a
+machine."""
 
 SURELY = 15.0
 """Nats by which other sending times must explain logs better than those before."""
@@ -295,8 +304,10 @@ def noise_of(model: Model) -> FloatArray:
 
 def search(null: Scored, hunt: Hunt) -> Outcome:
     """Find the effects that a machine has beside its baseline."""
-    best, others = _forwards(null, hunt) if hunt.most else (null, [])
+    best, others = _paths(null, hunt)
     best, dropped = backwards(best, null, hunt)
+    if not _near(best):
+        best, others, dropped = _exchanged(best, null, hunt, (others, dropped))
     seen = best
     best = _confirmed(best, null, hunt)
     if best is not seen:
@@ -351,6 +362,37 @@ def _part(best: Scored, null: Scored, dropped: Sequence[Scored], name: str, join
     return Part(name=name, joints=joints, evidence=best.over(other), without=other)
 
 
+def _paths(null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
+    """Return where the best first effect leads, or its rival where that explains more, and what else could be last."""
+    plain = spread(null.model) / noise_of(null.model)
+    wanted = plain.max() >= NOISY and hunt.most > 0
+    firsts = [one for one in stage_of(null, hunt) if better(one, null)] if wanted else []
+    if not firsts:
+        arrived = _arrived(null, hunt) if wanted else null
+        return (null, []) if arrived is null else _forwards(arrived, null, hunt)
+    best, others = _forwards(firsts[0], null, hunt)
+    others = others or firsts[1:]
+    if len(firsts) > 1 and not _near(best) and firsts[1].over(null) >= RIVAL * firsts[0].over(null):
+        end, beside = _forwards(firsts[1], null, hunt)
+        if end.over(best) > 0.0:
+            best = end
+            others = beside
+    return best, others
+
+
+def _exchanged(
+    best: Scored, null: Scored, hunt: Hunt, beside: tuple[list[Scored], list[Scored]]
+) -> tuple[Scored, list[Scored], list[Scored]]:
+    """Return a model with another effect in the place of one of its first, if that is better, and what is beside it."""
+    for part in best.model.effects[:AGAIN] if len(best.model.effects) > 1 else ():
+        rivals = stage_of(scored(without(best.model, null.model, *part).settled()), hunt)
+        if rivals and rivals[0].over(best) > TIED:
+            other, others = _forwards(rivals[0], null, hunt)
+            other, dropped = backwards(other, null, hunt)
+            return other, others, dropped
+    return best, *beside
+
+
 def _confirmed(best: Scored, null: Scored, hunt: Hunt) -> Scored:
     """Return a model without the effects of which whole logs that are left out say nothing."""
     while best.model.effects and best.model.data.apart.any() and not _predicts(best.model, null.model):
@@ -360,7 +402,12 @@ def _confirmed(best: Scored, null: Scored, hunt: Hunt) -> Scored:
     return best
 
 
-def _forwards(best: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
+def _near(one: Scored) -> bool:
+    """Return whether a model predicts nearly as well as readings allow."""
+    return float((spread(one.model) / noise_of(one.model)).max()) < EXPLAINED
+
+
+def _forwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
     """Return a model with effects added one after another while they pay, and what else the last could have been."""
     others: list[Scored] = []
     while True:
