@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
 from mimic.config.sysid import CalibrateSettings
-from mimic.dynamics.catalogue import CATALOGUE, effect
+from mimic.dynamics.catalogue import effect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import UNLIMITED, MachineModel
 from mimic.dynamics.servo import neutral
@@ -19,30 +19,30 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.jobs.local import cores
 from mimic.records import BoolArray, FloatArray
+from mimic.sysid.engine.arrivals import ARRIVALS
 from mimic.sysid.engine.data import Data, data_of
 from mimic.sysid.engine.effects import dependences, effects_of, motion_of
-from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.model import Model, setting_of
 from mimic.sysid.engine.predictor import compiled
 from mimic.sysid.engine.screen import applicable, wanted
 from mimic.sysid.engine.search import (
     Hunt,
     Outcome,
-    Parts,
+    Scored,
     baseline,
     by_log,
     fitted_baseline,
+    named,
     search,
     spread,
 )
 from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.noise import MOST
-from mimic.sysid.log.pool import pool
+from mimic.sysid.log.pool import SHORTEST, lasts, pool
 from mimic.sysid.next_motion import NextMotion, next_motion
 from mimic.sysid.result import (
     Alternative,
     Calibration,
-    Candidate,
     Correlations,
     Errors,
     Found,
@@ -106,6 +106,11 @@ def calibrate(
     logs = [one.of(model.joints) for one in ([log] if isinstance(log, JointLog) else log)]
     others = [one.of(model.joints) for one in held_out]
     called = tuple(names) or tuple(f"log {i + 1}" for i in range(len(logs) + len(others)))
+    if not lasts(*logs):
+        raise CalibrationError(
+            f"what is logged lasts {sum(one.duration for one in logs):.2f} s by the column t (in seconds);"
+            f" {SHORTEST:g} s are needed, 120 s are good"
+        )
     if others:
         pool([*logs, *others], model, called)  # they may contradict each other
     data = data_of(logs, model, called[: len(logs)])
@@ -120,13 +125,11 @@ def calibrate(
     say("fitting the baseline" if compiled() else "compiling the engine, once, and fitting the baseline")
     start = baseline(setting, plain)
     null = fitted_baseline(start, given)
-    follows, why = targets_match_log(data.log)
-    size = np.maximum(np.nanstd(data.record.y, axis=0), data.noise)
-    matches = follows and Errors.total(spread(null.model) / size) < MOST
+    matches, why = _matches(null.model, logs)
     hunt = Hunt(
         effects=_looked_for(settings, applicable(setting, (*plain, *given))),
         most=settings.most_effects if matches else 0,
-        arrivals="lost_commands" in (settings.effects or CATALOGUE),
+        arrivals=_looked_for(settings, tuple(ARRIVALS)),
         say=say,
     )
     outcome = search(null, hunt)
@@ -134,33 +137,33 @@ def calibrate(
     coarse = _coarse(outcome, settings, hunt.most)
     found = _found(outcome, coarse)
     joints = data.machine.joints
-    alternatives = tuple(Alternative(effects=_named(tied.effects, joints), behind=by) for tied, by in outcome.ties)
+    alternatives = tuple(Alternative(effects=named(tied.effects, tied), behind=by) for tied, by in outcome.ties)
     further = _next_motion(outcome, logs) if matches else None
     nominal = spread(start.evaluated())
-    errors = {one: _errors(one, outcome) for one in ("before", "after")}
+    before = _errors(outcome.null)
+    after = _errors(outcome.best)
     motion = motion_of(outcome.best.model)
     rest = tuple(
         UnexplainedResidual(joint=joint, ratio=float(ratio), torque=float(torque), depends_on=on)
         for joint, ratio, torque, on in zip(
             joints,
-            errors["after"].held_out / outcome.noise,
+            after.held_out / outcome.noise,
             np.sqrt(np.mean(motion.unknown**2, axis=0)),
             dependences(outcome.best.model, motion),
             strict=True,
         )
     )
-    floor = Errors(train=outcome.noise, held_out=outcome.noise)
-    said = fall(errors["before"], errors["after"], floor, data.machine.unit)
+    said = fall(before.held_out, after.held_out, outcome.noise, data.machine.unit)
     return Calibration(
         joints=joints,
         unit=data.machine.unit,
         noise=outcome.noise,
         nominal=Errors(train=nominal, held_out=nominal),
-        baseline=errors["before"],
-        final=errors["after"],
+        baseline=before,
+        final=after,
         found=found,
         alternatives=alternatives,
-        tried=_stages(hunt, joints),
+        tried=_stages(hunt),
         explained=outcome.explained,
         effects=_effects(outcome, coarse),
         unexplained=rest,
@@ -183,6 +186,15 @@ def calibrate(
             "sending_times": outcome.best.model.data.times.how,
         },
     )
+
+
+def _matches(model: Model, logs: Sequence[JointLog]) -> tuple[bool, str]:
+    """Return whether a baseline tells most of the logs, and why not; what follows what, long ones tell."""
+    data = model.data
+    long = np.array([lasts(one) for one in logs])[data.record.log]
+    follows, why = targets_match_log(data.log.part(long)) if long.any() else (True, "")
+    size = np.maximum(np.nanstd(data.record.y, axis=0), data.noise)
+    return follows and Errors.total(spread(model) / size) < MOST, why
 
 
 def _baseline_names(data: Data, settings: CalibrateSettings) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -216,17 +228,15 @@ def _check_bounds(names: Sequence[str], machine: MachineModel) -> None:
                 )
 
 
-def _errors(which: str, outcome: Outcome) -> Errors:
-    model = (outcome.null if which == "before" else outcome.best).model
-    left_out = getattr(outcome, which)
-    return Errors(train=spread(model), held_out=spread(model, left_out))
+def _errors(one: Scored) -> Errors:
+    return Errors(train=spread(one.model), held_out=spread(one.model, one.left_out))
 
 
 def _coarse(outcome: Outcome, settings: CalibrateSettings, most: int) -> BoolArray:
     """Return the joints (J,) with an encoder so coarse that it matters beside what is left."""
     model = outcome.best.model
     asked = most > 0 and (not settings.effects or "encoder_step" in settings.effects)
-    left = spread(model, outcome.after)
+    left = spread(model, outcome.best.left_out)
     return (model.data.encoder_steps / np.sqrt(12.0) > ROUNDING * left) & asked
 
 
@@ -235,28 +245,19 @@ def _found(outcome: Outcome, coarse: BoolArray) -> tuple[Found, ...]:
     model = outcome.best.model
     joints = model.data.machine.joints
 
-    def beyond(e: FloatArray) -> float:
-        return max(Errors.total(spread(model, e)) ** 2 - Errors.total(outcome.noise) ** 2, 1e-30)
+    def beyond(one: Scored) -> float:
+        return max(Errors.total(spread(model, one.left_out)) ** 2 - Errors.total(outcome.noise) ** 2, 1e-30)
 
-    whole = beyond(outcome.before)
     found = []
     for part in outcome.parts:
-        removed = beyond(part.without.model.left_out()) - beyond(outcome.after)
-        where = _named(((part.name, part.joints),), joints)[0][1]
-        share = float(np.clip(removed / whole, 0.0, 1.0))
+        removed = beyond(part.without) - beyond(outcome.best)
+        ((_, where),) = named(((part.name, part.joints),), model)
+        share = float(np.clip(removed / beyond(outcome.null), 0.0, 1.0))
         found.append(Found(name=part.name, joints=where, evidence=part.evidence, share=share))
     if coarse.any():
         where = tuple(np.array(joints)[coarse].tolist())
         found.append(Found(name="encoder_step", joints=where, evidence=0.0, share=0.0))
     return tuple(found)
-
-
-def _named(parts: Parts, joints: Sequence[str]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return effects with the names of their joints, none for the whole machine."""
-    named = []
-    for name, own in parts:
-        named.append((name, tuple(joints[j] for j in own if j >= 0)))
-    return tuple(named)
 
 
 def _next_motion(outcome: Outcome, logs: Sequence[JointLog]) -> NextMotion | None:
@@ -268,16 +269,12 @@ def _next_motion(outcome: Outcome, logs: Sequence[JointLog]) -> NextMotion | Non
     return next_motion(model.data.machine, logs, outcome.noise, effects_of(model), effects_of(rival))
 
 
-def _stages(hunt: Hunt, joints: Sequence[str]) -> tuple[Stage, ...]:
-    """Return what was tried beside each set of effects; of each effect the best joints, fitted where one was."""
-    kept: dict[Parts, dict[str, Candidate]] = {}
-    for one in sorted(hunt.tried, key=lambda a: (not a.fitted, -a.gain)):
-        where = _named(((one.name, one.joints),), joints)[0][1]
-        candidate = Candidate(name=one.name, joints=where, gain=one.gain, fitted=one.fitted)
-        kept.setdefault(one.beside, {}).setdefault(one.name, candidate)
+def _stages(hunt: Hunt) -> tuple[Stage, ...]:
+    """Return what was tried beside each set of effects."""
     stages = []
-    for beside, own in sorted(kept.items(), key=lambda item: len(item[0])):
-        stages.append(Stage(beside=tuple(name for name, _ in beside), candidates=tuple(own.values())))
+    for beside, own in sorted(hunt.tried.items(), key=lambda item: len(item[0])):
+        candidates = tuple(sorted(own.values(), key=lambda one: (not one.fitted, -one.gain)))
+        stages.append(Stage(beside=tuple(name for name, _ in beside), candidates=candidates))
     return tuple(stages)
 
 
@@ -287,7 +284,8 @@ def _effects(outcome: Outcome, coarse: BoolArray) -> EffectSet:
     effects = []
     for one in effects_of(outcome.best.model):
         if one.name == "delay" and "time" in one.intervals:  # when targets were sent is not known better
-            low, high = one.intervals["time"].T
+            one = replace(one, values={"time": one.values["time"] - data.times.spread / 2.0})
+            low, high = one.intervals["time"].T - data.times.spread / 2.0
             low = np.maximum(low - data.times.later, np.minimum(low, 0.0))
             one = replace(one, intervals={"time": np.stack([low, high + data.times.earlier], -1)})
         effects.append(one)
@@ -296,6 +294,9 @@ def _effects(outcome: Outcome, coarse: BoolArray) -> EffectSet:
         values = {"share": np.array([lost / count])}
         intervals = {"share": np.array([binomtest(lost, count).proportion_ci()])}
         effects.append(EffectValues(name="lost_commands", joints=(), values=values, intervals=intervals, role="fitted"))
+    if data.times.spread:
+        values = {"spread": np.array([data.times.spread])}
+        effects.append(EffectValues(name="delay_jitter", joints=(), values=values, intervals={}, role="fitted"))
     if coarse.any():
         joints = tuple(np.array(data.machine.joints)[coarse].tolist())
         values = {"angle": data.encoder_steps[coarse]}
@@ -308,9 +309,9 @@ def _warnings(model: Model) -> tuple[str, ...]:
     lines = []
     joints = model.data.machine.joints
     for f in model.free:
-        p = CATALOGUE[f.key[0]].parameter(f.key[1])
-        value = float(model.table[ROW[f.key], max(f.joint, 0)])
-        none = float(model.setting.blank[ROW[f.key], max(f.joint, 0)])
+        p = f.parameter
+        value = float(model.table[f.cell])
+        none = float(model.setting.blank[f.cell])
         if value in (p.low, p.high) and value not in (none, 0.0, UNLIMITED):
             end = "largest" if value == p.high else "smallest"
             lines.append(
@@ -344,8 +345,8 @@ def _traces(outcome: Outcome, speed: FloatArray, torque: FloatArray) -> Traces:
         q=data.log.q,
         dq=speed,
         tau=torque,
-        before=np.where(data.counts, outcome.before, np.nan),
-        after=np.where(data.counts, outcome.after, np.nan),
+        before=np.where(data.counts, outcome.null.left_out, np.nan),
+        after=np.where(data.counts, outcome.best.left_out, np.nan),
         target=data.log.q_des,
         log=None if data.logs == 1 else data.record.log,
         **torques,

@@ -14,7 +14,7 @@ import numpy as np
 
 from mimic.config.sysid import LogSettings
 from mimic.dynamics.effect_set import EffectSet
-from mimic.dynamics.excitation import SECTIONS, Excitation, probe_targets
+from mimic.dynamics.excitation import SECTIONS, probe_targets
 from mimic.dynamics.machine import MachineModel
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
@@ -73,26 +73,16 @@ def next_motion(
     targets = np.concatenate([q_des for q_des in ordered if q_des is not None])
     low = targets.min(0)
     high = targets.max(0)
-    tried = [_tried(machine, noise, first, second, motion) for motion in _motions(low, high, EXACT.rate_hz)]
-    return max(tried, key=lambda one: one.apart)
-
-
-def _motions(low: FloatArray, high: FloatArray, rate: float) -> list[tuple[str, float, Excitation]]:
     centre = (low + high) / 2
-    return [
-        (kind, size, probe_targets(low, high, centre, seconds=SECONDS, rate_hz=rate, kind=kind, size=size))
-        for kind in SECTIONS
-        for size in SIZES
-    ]
-
-
-def _tried(
-    machine: MachineModel, noise: FloatArray, first: EffectSet, second: EffectSet, motion: tuple[str, float, Excitation]
-) -> NextMotion:
-    kind, size, moved = motion
-    made = simulate_log(machine, moved.t, moved.q_des, first, EXACT)
-    other = simulate_log(machine, moved.t, moved.q_des, second, EXACT)
-    apart = np.sqrt(((made.q - other.q) ** 2).mean(0)) / noise
-    most = int(np.argmax(apart))
-    log = replace(made, metadata={**made.metadata, "motion": kind})
-    return NextMotion(kind=kind, size=size, apart=float(apart[most]), joint=machine.joints[most], log=log)
+    tried = []
+    for kind in SECTIONS:
+        for size in SIZES:
+            moved = probe_targets(low, high, centre, seconds=SECONDS, rate_hz=EXACT.rate_hz, kind=kind, size=size)
+            made, other = (simulate_log(machine, moved.t, moved.q_des, one, EXACT) for one in (first, second))
+            apart = np.sqrt(((made.q - other.q) ** 2).mean(0)) / noise
+            most = int(np.argmax(apart))
+            log = replace(made, metadata={**made.metadata, "motion": kind})
+            tried.append(
+                NextMotion(kind=kind, size=size, apart=float(apart[most]), joint=machine.joints[most], log=log)
+            )
+    return max(tried, key=lambda one: one.apart)

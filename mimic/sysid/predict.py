@@ -10,13 +10,12 @@ from mimic.dynamics.machine import MachineModel, drive_notes
 from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.engine.data import BEFORE, data_of, motors_of
+from mimic.sysid.engine.data import BEFORE, data_of
 from mimic.sysid.engine.laws import DELAY, ROW
 from mimic.sysid.engine.likelihood import DECAY, FOLLOWING
 from mimic.sysid.engine.model import STEP, blank_table, setting_of
-from mimic.sysid.engine.predictor import Record, arrays_of
+from mimic.sysid.engine.predictor import arrays_of
 from mimic.sysid.engine.predictor import predict as passed
-from mimic.sysid.engine.tree import tree_of
 from mimic.sysid.log.timing import AT_ROW, SENT
 
 APART = 1e-9
@@ -132,26 +131,13 @@ def _played(
     order = order[order == np.maximum.accumulate(order)]
     sent = late[order]
     sent[0] -= BEFORE
-    joints = len(machine.joints)
-    y = np.full((len(clock), joints), np.nan)
-    y[0] = 0.0
-    first = np.arange(len(clock)) == 0
-    record = Record(
+    still = np.zeros((len(clock), len(machine.joints)))
+    data = data_of([JointLog(joints=machine.joints, t=clock, q=still, q_des=still)], machine)
+    record = data.record._replace(
         t=clock,
-        y=y,
-        log=np.zeros(len(clock), dtype=int),
-        since=clock,
-        fresh=first,
-        settled=np.ones(len(clock), dtype=bool),
-        lead=np.zeros(len(clock), dtype=int),
+        settled=np.ones_like(data.record.settled),
+        lead=np.zeros_like(data.record.lead),
         sent=sent,
         goal=np.ascontiguousarray(q_des[order]),
-        force=np.zeros((len(clock), joints)),
-        on=np.ones((len(clock), joints)),
-        supply=np.ones(len(clock)),
-        kp=np.array(machine.drives.kp, dtype=float)[None],
-        kd=np.array(machine.drives.kd, dtype=float)[None],
-        payload=np.zeros((1, joints)),
-        **motors_of(machine),
     )
-    return passed(arrays_of(tree_of(machine), record), table, np.zeros((1, 2, 2, joints, 3)), DECAY, timestep, False)
+    return passed(arrays_of(data.tree, record), table, np.zeros((1, 2, 2, data.joints, 3)), DECAY, timestep, False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mimic.dynamics.catalogue import CATALOGUE
+from mimic.records import FloatArray
 from mimic.sysid.next_motion import NextMotion
 from mimic.sysid.result import Alternative, Errors, Found, UnexplainedResidual
 
@@ -73,9 +74,9 @@ def _share(one: Found, unexplained: str) -> str:
     return f" ({100 * one.share:.0f} % of the unexplained error)" if unexplained and one.evidence else ""
 
 
-def fall(before: Errors, after: Errors, noise: Errors, unit: str) -> str:
-    """Return held-out errors before and after, and the noise floor, in words."""
-    shown = [Errors.total(e.held_out) for e in (before, after, noise)]
+def fall(before: FloatArray, after: FloatArray, noise: FloatArray, unit: str) -> str:
+    """Return held-out errors before and after, and the noise floor (J,), in words."""
+    shown = [Errors.total(e) for e in (before, after, noise)]
     first, last, floor = (f"{1e3 * v:.2f} mrad" if unit == "rad" else f"{1e6 * v:.3g} µm" for v in shown)
     return f"held-out error {first} → {last}, noise floor {floor}"
 

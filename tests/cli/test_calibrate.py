@@ -173,7 +173,6 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
         (["calibrate", "log.csv", "--baseline", "friction"], "effect 'friction' is not in the catalogue"),
         (["calibrate", "log.csv", "--threads", "-1"], "threads is -1"),
         (["log", "replay", "missing.csv"], "missing.csv does not exist"),
-        (["log", "replay", "log.csv", "--model", "robot.xml"], "lasts 0.01 s"),
         (["log", "replay", "log.csv", "--effects", "a.toml", "--effects", "a.toml"], "names a file twice"),
         (["log", "replay", "log.csv", "--effects", "none.toml"], "none.toml cannot be read"),
         (["log", "replay", "log.csv", "-o", "robot.xml/a.json"], "nothing can be written to robot.xml"),

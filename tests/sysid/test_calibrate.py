@@ -14,6 +14,7 @@ from mimic.config.sysid import CalibrateSettings, LogSettings
 from mimic.dynamics.catalogue import CATALOGUE, UnknownEffect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine, with_gains
+from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.predict import simulate_log
@@ -119,6 +120,20 @@ def test_the_error_falls_to_the_noise_floor_on_blocks_that_were_not_used(arm: Ma
     result = clean_result(arm)
     assert np.all(result.nominal.held_out > 3 * result.noise)
     assert np.all(result.final.held_out < 1.15 * result.noise)
+
+
+def test_many_short_logs_are_one_data_set(arm: MachineModel) -> None:
+    log = clean_log(arm)
+    rows = len(log.t) // 12
+    parts = [log.part(slice(k * rows, (k + 1) * rows)) for k in range(12)]
+    result = calibrate(parts, arm, settings(most_effects=0))
+    assert result.log_matches_model
+    found = {e.name: e for e in result.effects}
+    for one in BASELINE[:2]:
+        for name, value in one.values.items():
+            np.testing.assert_allclose(found[one.name].values[name], value, rtol=0.15)
+    with pytest.raises(CalibrationError, match=r"lasts 3\.\d\d s .* 5 s are needed"):
+        calibrate(parts[:4], arm, settings(most_effects=0))
 
 
 @pytest.mark.slow
@@ -300,6 +315,16 @@ def test_targets_that_never_arrived_are_found(arm: MachineModel) -> None:
     effects = {e.name: e for e in result.effects}
     low, high = effects["lost_commands"].intervals["share"][0]
     assert low < 0.04 < high
+    assert all(r.explained for r in result.unexplained)
+
+
+def test_a_delay_of_its_own_for_each_target_is_found(arm: MachineModel) -> None:
+    hidden = EffectValues(name="delay_jitter", values={"spread": np.array([0.012])})
+    result = calibrate(log_of(arm, hidden), arm, settings(effects=("delay_jitter", "lost_commands")))
+    assert result.names == ("delay_jitter",)
+    effects = {e.name: e for e in result.effects}
+    assert effects["delay_jitter"].values["spread"][0] == pytest.approx(0.012, rel=0.2)
+    assert effects["delay"].values["time"][0] == pytest.approx(0.011, abs=0.002)
     assert all(r.explained for r in result.unexplained)
 
 

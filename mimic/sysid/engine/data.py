@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -121,21 +120,23 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
     names = tuple(names) or tuple(f"log {i + 1}" for i in range(len(logs)))
     together = pool([log.of(model.joints) for log in logs], model, names)
     log = together.log
-    parts = together.parts
     machine = as_logged(model, logs[0].metadata, by_force=log.q_des is None)
-    t = log.t - log.t[0]
+    t = log.t
+    which = together.which
     known = valid_samples(log)[:, None] & np.isfinite(log.q)
-    which = np.repeat(np.arange(len(parts)), [p.rows for p in parts])
+    begin = t[np.searchsorted(which, which)]
+    length = t[np.searchsorted(which, which, side="right") - 1] - begin
     fresh = np.concatenate([[True], (np.diff(which) > 0) | (np.diff(t) > GAP)])
     since = t - t[np.maximum.accumulate(np.where(fresh, np.arange(len(t)), 0))]
-    length = np.array([p.end - p.begin for p in parts])[which]
     block = _blocks(t, which)
-    motors = motors_of(machine)
+    drives = machine.drives
+    none = np.zeros(len(machine.joints))
+    volts = none if drives.volts is None else np.asarray(drives.volts, dtype=float)
     record = Record(
         t=t,
         y=np.where(known, log.q, np.nan),
         log=which,
-        since=t - np.array([p.begin for p in parts])[which],
+        since=t - begin,
         fresh=fresh,
         settled=since >= np.minimum(SEEK, SHARE * length),
         lead=_leads(t, block, fresh),
@@ -143,11 +144,14 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         goal=np.zeros((0, len(machine.joints))),
         force=np.zeros_like(log.q) if log.force is None else np.array(log.force),
         on=enabled(log).astype(float),
-        supply=_supply(together, motors["volts"]),
-        kp=np.stack([p.kp for p in parts]),
-        kd=np.stack([p.kd for p in parts]),
-        payload=np.stack([p.payload for p in parts]),
-        **motors,
+        supply=_supply(together, volts),
+        kp=together.kp,
+        kd=together.kd,
+        payload=together.payload,
+        volts=volts,
+        kt=none + (1.0 if drives.kt is None else drives.kt),
+        ohm=none + (1.0 if drives.resistance is None else drives.resistance),
+        neighbour=np.asarray(drives.neighbour),
     )
     steps, noise = _encoders(log)
     sending = together.sending if log.q_des is not None else (at_rows(log),)
@@ -169,18 +173,6 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
     return made.sent_at(sending[0])
 
 
-def motors_of(machine: MachineModel) -> dict[str, Any]:
-    """Return what a record holds of the motors of a machine, each (J,)."""
-    d = machine.drives
-    none = np.zeros(len(machine.joints))
-    return {
-        "volts": none if d.volts is None else np.asarray(d.volts, dtype=float),
-        "kt": none + 1.0 if d.kt is None else np.asarray(d.kt, dtype=float),
-        "ohm": none + 1.0 if d.resistance is None else np.asarray(d.resistance, dtype=float),
-        "neighbour": np.asarray(d.neighbour),
-    }
-
-
 def _encoders(log: JointLog) -> tuple[FloatArray, FloatArray]:
     """Return the steps of coarse encoders (J,), and the noise of readings (J,): the most of others for what rests."""
     read = valid_samples(log)
@@ -192,7 +184,7 @@ def _encoders(log: JointLog) -> tuple[FloatArray, FloatArray]:
 
 def _supply(together: Pool, volts: FloatArray) -> FloatArray:
     """Return the supply in each row over the nominal one (T,)."""
-    share = np.repeat([p.supply for p in together.parts], [p.rows for p in together.parts])
+    share = together.supply[together.which]
     given = together.log.extra.get(VOLTAGE)
     if given is None or not (volts > 0).any():
         return np.ascontiguousarray(share)

@@ -53,7 +53,7 @@ def _values(model: Model, name: str, known: dict[tuple[Key, int], tuple[Free, fl
     intervals: dict[str, FloatArray] = {}
     for p in CATALOGUE[name].parameters:
         key = (name, p.name)
-        values[p.name] = np.clip([model.table[ROW[key], max(j, 0)] for j in index], p.low, p.high)
+        values[p.name] = np.clip([model.table[ROW[key], j] for j in index], p.low, p.high)
         own = [known.get((key, j)) for j in index]
         if all(one is not None for one in own):
             ends = [[from_fit(p, x - SURE * s), from_fit(p, x + SURE * s)] for _, x, s in own]  # type: ignore[misc]

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, field, replace
 
+import mujoco
 import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE, scale_of
@@ -19,8 +20,7 @@ from mimic.sysid.engine.data import Data
 from mimic.sysid.engine.laws import DROP, KEYS, ROW
 from mimic.sysid.engine.likelihood import DECAY, Gains, misfit, scales, weights
 from mimic.sysid.engine.predictor import Arrays, arrays_of, part_of, predict
-from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, dynamics, links_of, packed
-from mimic.sysid.log.noise import SMOOTH
+from mimic.sysid.log.noise import smooth
 
 STEP = 1.25e-3
 """Longest step of a pass [s]: a clean log replays at .31 mrad, its noise; at .32 with twice of it (design notes)."""
@@ -60,6 +60,16 @@ class Free:
     """The model's value, in what is fitted."""
     within: float = np.inf
     """Most by which it may differ from that."""
+
+    @property
+    def parameter(self) -> Parameter:
+        """What the catalogue says of it."""
+        return CATALOGUE[self.key[0]].parameter(self.key[1])
+
+    @property
+    def cell(self) -> tuple[int, int]:
+        """Where it is in a table of numbers; one of the whole machine is the same in all joints."""
+        return ROW[self.key], self.joint
 
 
 class Passes:
@@ -129,12 +139,8 @@ class Passes:
             arrays, numbers, corrections = lacking[key]
             return predict(arrays, numbers, corrections, DECAY, step, follow)
 
-        if self.threads > 1 and len(lacking) > 1:
-            with ThreadPoolExecutor(self.threads) as pool:
-                made = list(pool.map(one, lacking))
-        else:
-            made = [one(key) for key in lacking]
-        new = dict(zip(lacking, made, strict=True))
+        with ThreadPoolExecutor(self.threads) as pool:
+            new = dict(zip(lacking, pool.map(one, lacking), strict=True))
         self._known.update(new)
         kept = max(int(MEMORY / (24.0 * self.data.record.y.size)), 1) * len(self._chains)
         while len(self._known) > kept:
@@ -163,7 +169,7 @@ class Setting:
     def width(self, key: Key, j: int) -> tuple[float, float]:
         """Return how far from where a number is plausible, in what is fitted, and where; inf where anything is."""
         p = CATALOGUE[key[0]].parameter(key[1])
-        centre = to_fit(p, float(self.blank[ROW[key], max(j, 0)]))
+        centre = to_fit(p, float(self.blank[ROW[key], j]))
         if relative(p):
             return float(np.log(10.0)), centre
         if p.inverse or (CATALOGUE[key[0]].structural and p.neutral == MODEL):
@@ -234,16 +240,21 @@ class Model:
         """Corrections of a pass (L, 2, 2, J, 3)."""
         return self.setting.gains.of(self.unknown)
 
+    def over(self, data: Data) -> Model:
+        """Return the model after a pass over other data of the same logs."""
+        setting = replace(self.setting, passes=self.setting.passes.of(data))
+        return replace(self, setting=setting, columns=None).evaluated()
+
     def values(self) -> FloatArray:
         """Return what is fitted (P,)."""
-        return np.array([to_fit(_parameter(f), float(self.table[ROW[f.key], max(f.joint, 0)])) for f in self.free])
+        return np.array([to_fit(f.parameter, float(self.table[f.cell])) for f in self.free])
 
     def at(self, x: FloatArray) -> FloatArray:
         """Return the table of numbers at these values (P,)."""
         table = self.table.copy()
         for f, value in zip(self.free, x, strict=True):
             where = slice(None) if f.joint < 0 else f.joint
-            table[ROW[f.key], where] = from_fit(_parameter(f), float(np.clip(value, *_ends(f))))
+            table[ROW[f.key], where] = from_fit(f.parameter, float(np.clip(value, *_ends(f))))
         return table
 
     def implausible(self, x: FloatArray) -> float:
@@ -323,9 +334,9 @@ class Model:
         return hessian, descent
 
     def numbers(self) -> float:
-        """Return how many numbers the logs determine, beside what is plausible of them; a lost target is one."""
+        """Return how many numbers the logs determine, beside what is plausible of them, those of targets too."""
         now = self.differentiated()
-        return now._share(now.normal()[0]) + self.data.times.lost
+        return now._share(now.normal()[0]) + self.data.times.told
 
     def _share(self, of: FloatArray) -> float:
         """Return the trace of a matrix (P, P) over the Hessian of the cost."""
@@ -486,11 +497,6 @@ class Model:
             e[rows] = replace(known, columns=now.columns).fitted(0).e[rows]
         return e
 
-    def held_out(self) -> FloatArray:
-        """Return the log density of the readings of each block (B,) under fits without their folds."""
-        e = self.left_out()
-        return np.bincount(self.data.block, -misfit(e, scales(e, self.data), self.data).sum(axis=1)).astype(float)
-
 
 def _damped(hessian: FloatArray, descent: FloatArray, moves: BoolArray, damping: float) -> FloatArray:
     """Return a step of Levenberg and Marquardt (P,) of the numbers that move."""
@@ -500,13 +506,9 @@ def _damped(hessian: FloatArray, descent: FloatArray, moves: BoolArray, damping:
     return by
 
 
-def _parameter(f: Free) -> Parameter:
-    return CATALOGUE[f.key[0]].parameter(f.key[1])
-
-
 def _ends(f: Free) -> tuple[float, float]:
     """Return the least and greatest of what is fitted."""
-    p = _parameter(f)
+    p = f.parameter
     low, high = (float(np.log(p.low)), float(np.log(p.high))) if relative(p) else p.bounds
     return max(low, f.centre - f.within), min(high, f.centre + f.within)
 
@@ -543,48 +545,43 @@ def blank_table(machine: MachineModel) -> FloatArray:
 
 
 def setting_of(data: Data, threads: int = 1) -> Setting:
-    """Return what all models of a search share, from what a pass with strong corrections says of the motion."""
+    """Return what all models of a search share, from how the readings move."""
     blank = blank_table(data.machine)
-    n = data.joints
     record = data.record
-    q = np.nan_to_num(record.y, nan=0.0)
-    known = np.isfinite(record.y)
-    dt = np.gradient(record.t)
-    smooth = np.stack([np.interp(record.t, record.t[known[:, j]], q[known[:, j], j]) for j in range(n)], -1)
-    joints, shape = packed(data.tree)
-    one = np.ones(n)
-    tree = data.tree
-    links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0.0 * one, 0.0 * one)
-    room = np.zeros((n, ROOM))
-    mass = np.zeros((n, n))
-    room[:, AT] = np.median(smooth, axis=0)
-    dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
-    rotor = blank[ROW["armature", "inertia"]]
-    inertia = np.diag(mass) + rotor
-    if not record.kp.any():  # no drive holds the other joints, which give way
-        inertia = 1.0 / np.diag(np.linalg.inv(mass + np.diag(rotor)))
-    width = max(round(SMOOTH / float(np.median(dt))), 1)
-    kernel = np.ones(width) / width
-    calm = np.stack([np.convolve(c, kernel, mode="same") for c in smooth.T], -1)
+    known = np.isfinite(record.y).T
+    whole = np.stack([np.interp(record.t, record.t[k], y[k]) for k, y in zip(known, record.y.T, strict=True)], -1)
+    calm = smooth(record.t, whole)
     speed = np.gradient(calm, record.t, axis=0)
     faster = np.gradient(speed, record.t, axis=0)
     used = data.counts & (np.abs(speed) < 1e3)
-    needed = np.zeros_like(smooth)
-    for i in range(0, len(smooth), 5):
-        room[:, AT] = calm[i]
-        room[:, MOVING] = speed[i]
-        dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
-        needed[i : i + 5] = mass @ faster[i] + rotor * faster[i] + room[:, BIAS]
+    model = data.machine.model
+    state = mujoco.MjData(model)
+    state.qpos[:] = np.median(whole, axis=0)
+    mujoco.mj_forward(model, state)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, state, mass)
+    inertia = np.diag(mass)
+    if not record.kp.any():  # no drive holds the other joints, which give way
+        inertia = 1.0 / np.diag(np.linalg.inv(mass))
+    needed = model.dof_armature * faster
+    own = np.zeros(model.nv)
+    for i in range(0, len(whole), 5):
+        state.qpos[:] = calm[i]
+        state.qvel[:] = speed[i]
+        state.qacc[:] = faster[i]
+        for part in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
+            part(model, state)
+        mujoco.mj_rne(model, state, 1, own)
+        needed[i : i + 5] += own
 
     def rms(x: FloatArray) -> FloatArray:
         return np.sqrt(np.where(used, x**2, 0.0).sum(0) / np.maximum(used.sum(0), 1)) + 1e-9
 
-    dry = blank[ROW["coulomb", "level"]]
     scale = {
         "position": np.maximum(rms(calm - calm.mean(0)), 10.0 * data.noise),
         "speed": rms(speed),
         "acceleration": rms(faster),
-        "torque": np.maximum(rms(needed) + dry, 1e-6),
+        "torque": np.maximum(rms(needed) + blank[ROW["coulomb", "level"]], 1e-6),
     }
     fastest = np.nanquantile(np.where(used, np.abs(speed), np.nan), 0.999, axis=0)
     gains = Gains(data, inertia, blank[ROW["viscous", "coefficient"]], scale["torque"])

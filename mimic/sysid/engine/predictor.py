@@ -164,18 +164,6 @@ def gravity_of(gravity: FloatArray, roll: float, pitch: float) -> FloatArray:
 @inlined
 def inverted(a, m):  # type: ignore[no-untyped-def]
     """Invert the first m rows and columns of a symmetric positive matrix in place."""
-    if m == 1:
-        a[0, 0] = 1.0 / a[0, 0]
-        return
-    if m == 2:
-        d = 1.0 / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
-        x = a[0, 0]
-        y = a[0, 1]
-        z = a[1, 1]
-        a[0, 0] = z * d
-        a[1, 1] = x * d
-        a[0, 1] = a[1, 0] = -y * d
-        return
     for k in range(m):
         pivot = 1.0 / a[k, k]
         for i in range(m):

@@ -228,7 +228,7 @@ class Screen:
         alone = []
         together = []
         for p, value in zip(wanted(name), start, strict=True):
-            own = float(self.model.table[ROW[name, p.name], max(j, 0)])
+            own = float(self.model.table[ROW[name, p.name], j])
             if value is not None:
                 values[p.name] = value
                 if not p.shape:
@@ -332,7 +332,7 @@ class Screen:
         p = CATALOGUE[name].parameter(parameter)
         if CATALOGUE[name].structural and p.neutral == MODEL:
             return value
-        own = to_fit(p, float(self.model.table[ROW[name, parameter], max(j, 0)]))
+        own = to_fit(p, float(self.model.table[ROW[name, parameter], j]))
         low = 1.0 / REACH if p.starts else -20.0 * REACH
         high = REACH if p.starts else 20.0 * REACH
         return from_fit(p, own + float(np.clip(by, low, high)) * (to_fit(p, value) - own))
@@ -377,7 +377,7 @@ def _at(model: Model, found: Found, numbers: Sequence[Mapping[str, float]], shar
         for parameter, value in values.items():
             p = CATALOGUE[found.name].parameter(parameter)
             row = ROW[found.name, parameter]
-            own = to_fit(p, float(model.table[row, max(j, 0)]))
+            own = to_fit(p, float(model.table[row, j]))
             part = 1.0 if p.shape or p.neutral == MODEL else share
             table[row, where] = from_fit(p, own + part * (to_fit(p, value) - own))
             width, centre = model.setting.width((found.name, parameter), j)

@@ -12,17 +12,17 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
-from mimic.records import FloatArray
+from mimic.records import FloatArray, IntArray
+from mimic.sysid.engine.arrivals import ARRIVALS, sent_at
 from mimic.sysid.engine.data import Data
 from mimic.sysid.engine.effects import SURE
 from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.likelihood import FOLLOWING, misfit, scales
 from mimic.sysid.engine.model import Free, Model, Setting, to_fit
 from mimic.sysid.engine.screen import Found, Screen, wanted, with_effect
-from mimic.sysid.log.timing import SendingTimes
+from mimic.sysid.result import EXPLAINED, Candidate
 
 FARTHEST = 3.0
 """Standard deviations of what is plausible beyond which a number of the baseline does not go: beyond, something else is
@@ -53,9 +53,6 @@ MATERIAL = 0.1
 NOISY = 1.03
 """Plain replay over the noise in all joints below which nothing is looked for."""
 
-EXPLAINED = 1.5
-"""The same up to which what was found explains a machine."""
-
 MOST = 0.9
 """Or share of the squared error beyond the noise that it must remove."""
 
@@ -67,27 +64,11 @@ RIVAL = 0.5
 """Share of the gain of the best first effect from which another is followed to its end where a path does not explain a
 machine."""
 
-HEARD = 0.4
-"""Time after which it does not matter any more that a target was lost [s]: as far apart they are tried together."""
-
 SURELY = 15.0
 """Nats by which other sending times must explain logs better than those before."""
 
 Parts = tuple[tuple[str, tuple[int, ...]], ...]
 """Effects and their joints."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Attempt:
-    """An effect that was tried beside others."""
-
-    beside: Parts
-    name: str
-    joints: tuple[int, ...]
-    gain: float
-    """By how much it predicts better, numbers paid [nats of independent readings]: of a linear step or, for those that
-    this said most of, of a fit."""
-    fitted: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,10 +78,11 @@ class Hunt:
     effects: Sequence[str]
     most: int = STAGES
     """Most effects that are named."""
-    arrivals: bool = True
-    """Whether targets that never arrived are looked for."""
+    arrivals: Sequence[str] = ()
+    """Those on single targets, of `ARRIVALS`."""
     say: Callable[[str], None] = print
-    tried: list[Attempt] = field(default_factory=list)
+    tried: dict[Parts, dict[str, Candidate]] = field(default_factory=dict)
+    """Beside which effects each was tried in its best joints, fitted where one was."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,6 +90,8 @@ class Scored:
     """A fitted model, judged by what it predicts of blocks that were left out."""
 
     model: Model
+    left_out: FloatArray
+    """Errors, each fold under a fit without it (T, J)."""
     density: FloatArray
     """Log density of each block, left out (B,) [nats]."""
     implausible: float
@@ -185,10 +169,6 @@ class Outcome:
     """Its effects."""
     ties: tuple[tuple[Model, float], ...]
     """Other explanations that the logs do not tell from it, and by how much they are worse [nats]."""
-    before: FloatArray
-    """Errors of the baseline, each fold fitted without it (T, J)."""
-    after: FloatArray
-    """Of what was found (T, J)."""
     noise: FloatArray
     """What is left at readings that follow each other (J,)."""
     explained: bool
@@ -236,9 +216,12 @@ def _within(setting: Setting, key: tuple[str, str], tolerance: float) -> list[Fr
 def scored(model: Model) -> Scored:
     """Return a fitted model with its score."""
     model = replace(_pruned(model), columns=None).differentiated()  # those of a fit tell its way, not errors of numbers
+    e = model.left_out()
+    said = misfit(e, scales(e, model.data), model.data).sum(axis=1)
     return Scored(
         model=model,
-        density=model.held_out(),
+        left_out=e,
+        density=np.bincount(model.data.block, -said).astype(float),
         implausible=model.implausible(model.values()),
         numbers=model.numbers(),
         repeats=model.repeats(),
@@ -277,8 +260,8 @@ def _beside(model: Model) -> dict[int, float]:
     """Return how far numbers are from none that an effect can do without, by their places."""
     far = {}
     for k, by in _from_none(model).items():
-        name, parameter = model.free[k].key
-        if parameter != wanted(name)[0].name and CATALOGUE[name].parameter(parameter).neutral != MODEL:
+        f = model.free[k]
+        if f.parameter is not wanted(f.key[0])[0] and f.parameter.neutral != MODEL:
             far[k] = by
     return far
 
@@ -288,35 +271,28 @@ def _from_none(model: Model) -> dict[int, float]:
     far = {}
     names = dict(model.effects)
     for k, (f, x) in enumerate(zip(model.free, model.values(), strict=True)):
-        p = CATALOGUE[f.key[0]].parameter(f.key[1])
-        if f.key[0] in names and not p.shape:
-            far[k] = float(x) - to_fit(p, float(model.setting.blank[ROW[f.key], max(f.joint, 0)]))
+        if f.key[0] in names and not f.parameter.shape:
+            far[k] = float(x) - to_fit(f.parameter, float(model.setting.blank[f.cell]))
     return far
 
 
 def _pruned(model: Model) -> Model:
     """Return a model without the numbers that ended at a bound that means none."""
-    kept = []
-    for f in model.free:
-        p = CATALOGUE[f.key[0]].parameter(f.key[1])
-        value = model.table[ROW[f.key], max(f.joint, 0)]
-        if not (p.inverse and value >= p.high):
-            kept.append(f)
+    kept = [f for f in model.free if not (f.parameter.inverse and model.table[f.cell] >= f.parameter.high)]
     return model if len(kept) == len(model.free) else replace(model, free=tuple(kept), columns=None)
 
 
 def spread(model: Model, e: FloatArray | None = None) -> FloatArray:
     """Return the root mean square in each joint (J,) of innovations (T, J), by default the model's."""
-    e = np.where(model.data.counts, np.nan_to_num(model.e if e is None else e), 0.0)
-    return np.sqrt((e**2).sum(0) / np.maximum(model.data.counts.sum(0), 1))
+    return by_log(model, e, np.zeros(len(model.data.record.t), dtype=int))[0]
 
 
-def by_log(model: Model, e: FloatArray | None = None) -> FloatArray:
+def by_log(model: Model, e: FloatArray | None = None, log: IntArray | None = None) -> FloatArray:
     """Return the root mean square in each log and joint (L, J) of errors (T, J), by default the model's."""
-    e = np.where(model.data.counts, np.nan_to_num(model.e if e is None else e), 0.0)
-    log = model.data.record.log
-    rows = [(log == k, model.data.counts[log == k]) for k in range(model.data.logs)]
-    return np.stack([np.sqrt((e[own] ** 2).sum(0) / np.maximum(counts.sum(0), 1)) for own, counts in rows]) + 1e-12
+    e = np.nan_to_num(model.e if e is None else e)
+    log = model.data.record.log if log is None else log
+    rows = [model.data.counts & (log == k)[:, None] for k in range(log[-1] + 1)]
+    return np.sqrt([(e**2).sum(0, where=own) / np.maximum(own.sum(0), 1) for own in rows]) + 1e-12
 
 
 def noise_of(model: Model) -> FloatArray:
@@ -343,19 +319,16 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
         by = best.apart(one)
         if by < max(TIED, best.unsure(one)) and one.model.effects != best.model.effects:
             ties[one.model.effects] = one.model, by
-    before = null.model.left_out()
-    after = best.model.left_out()
     noise = noise_of(best.model)
-    beyond = [np.maximum((spread(null.model, e) / noise) ** 2 - 1.0, 0.0).sum() for e in (before, after)]
+    left = [spread(one.model, one.left_out) / noise for one in (null, best)]
+    beyond = [np.maximum(ratio**2 - 1.0, 0.0).sum() for ratio in left]
     return Outcome(
         null=null,
         best=best,
         parts=(*(_part(best, null, dropped, *one) for one in best.model.effects), *_lost(best)),
         ties=tuple(ties.values()),
-        before=before,
-        after=after,
         noise=noise,
-        explained=bool((spread(null.model, after) / noise).max() < EXPLAINED or beyond[1] < (1.0 - MOST) * beyond[0]),
+        explained=bool(left[1].max() < EXPLAINED or beyond[1] < (1.0 - MOST) * beyond[0]),
     )
 
 
@@ -369,12 +342,14 @@ def _from_there(one: Scored, best: Scored) -> Scored:
 
 
 def _lost(best: Scored) -> tuple[Part, ...]:
-    """Return that targets were lost, if they were."""
-    data = best.model.data
-    if not data.times.lost:
+    """Return what is said of single targets."""
+    times = best.model.data.times
+    said = {"lost_commands": times.lost, "delay_jitter": times.spread}
+    if not any(said.values()):
         return ()
-    other = scored(_sent_at(best.model, next(times for times in data.sending if times.how == data.times.how)))
-    return (Part(name="lost_commands", joints=(-1,), evidence=best.over(other), without=other),)
+    other = scored(sent_at(best.model, next(one for one in best.model.data.sending if one.how == times.how)))
+    evidence = PRICE * (other.numbers - best.numbers) + (best.likely - other.likely) / best.repeats
+    return tuple(Part(name=name, joints=(-1,), evidence=evidence, without=other) for name, told in said.items() if told)
 
 
 def _part(best: Scored, null: Scored, dropped: Sequence[Scored], name: str, joints: tuple[int, ...]) -> Part:
@@ -456,35 +431,12 @@ def _forwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scor
 
 
 def _arrived(best: Scored, hunt: Hunt) -> Scored:
-    """Return a model without the targets that never arrived, if it is better: each must pay as a number does."""
-    model = best.model
-    while hunt.arrivals:
-        said = _neglected(model)
-        lost = np.flatnonzero(said > best.repeats * PRICE)
-        if not len(lost):
-            break
-        model = _sent_at(model, model.data.times.without(lost))
-    if model is best.model:
-        return best
-    other = scored(model.settled())
-    return other if better(other, best) else best
-
-
-def _neglected(model: Model) -> FloatArray:
-    """Return by how much readings are likelier had each target not arrived (K,) [nats]; 0 beside one of which they say
-    more.
+    """Return a model with targets that arrived otherwise, if it is better and worth a name: of each number, its price
+    in readings as independent as the better model says.
     """
-    data = model.data
-    at = data.record.sent
-    said = np.zeros(len(at))
-    apart = int(np.ceil(HEARD / float(np.median(np.diff(at))))) if len(at) > 1 else 1
-    for first in range(1, min(apart + 1, len(at))):
-        tried = np.arange(first, len(at), apart)
-        other = _sent_at(model, data.times.without(tried))
-        by = (misfit(model.e, model.scale, data) - misfit(other.e, model.scale, data)).sum(axis=1)
-        after = np.searchsorted(at[tried], data.record.t, side="right")
-        said[tried] = np.bincount(after, by, len(tried) + 1)[1:]
-    return np.where(said == maximum_filter1d(said, 2 * apart + 1), said, 0.0)
+    made = [ARRIVALS[name](best.model, best.repeats * PRICE) for name in hunt.arrivals]
+    first, *_ = ranked([best, *(scored(one.settled()) for one in made if one is not best.model)])
+    return first if first is best or material(first, best) else best
 
 
 def _predicts(model: Model, null: Model) -> bool:
@@ -514,16 +466,10 @@ def _sent(model: Model) -> Model:
     """Return a model at the sending times that explain the logs best, of all that these allow."""
     best = model
     for times in model.data.sending if len(model.data.sending) > 1 else ():
-        other = _sent_at(model, times).fitted(2)
+        other = sent_at(model, times).fitted(2)
         if other.cost < best.cost - SURELY:
             best = other
     return best
-
-
-def _sent_at(model: Model, times: SendingTimes) -> Model:
-    """Return a model whose targets were sent at these times, not yet fitted."""
-    setting = replace(model.setting, passes=model.setting.passes.of(model.data.sent_at(times)))
-    return replace(model, setting=setting, columns=None).evaluated()
 
 
 def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
@@ -533,16 +479,9 @@ def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
     for one in sorted(Screen(model).run(hunt.effects), key=lambda f: now.repeats * PRICE * f.numbers - f.gain):
         if sum(other.name == one.name for other in chosen) < SETS and (one.gain > 0.0 or one.rough):
             chosen.append(one)
-    hunt.tried.extend(
-        Attempt(
-            beside=model.effects,
-            name=one.name,
-            joints=one.joints,
-            gain=one.gain / now.repeats - PRICE * one.numbers,
-            fitted=False,
-        )
-        for one in chosen
-    )
+    tried = hunt.tried.setdefault(model.effects, {})
+    for one in chosen[::-1]:
+        tried[one.name] = _candidate(model, one.name, one.joints, one.gain / now.repeats - PRICE * one.numbers, False)
     chosen = [f for k, f in enumerate(chosen) if k < FIRST or f.gain <= 0.0]
     enough = max(1.0, 0.1 * now.repeats)
     fits = [with_effect(model, one).fitted(0, enough) for one in chosen]
@@ -551,19 +490,28 @@ def stage_of(now: Scored, hunt: Hunt) -> list[Scored]:
         fits = sorted(refined, key=lambda m: m.cost + now.repeats * PRICE * len(m.free))[:left]
     made = ranked([scored(one.settled(8, enough)) for one in fits])
     made = ranked([trimmed(one) for one in made[:2]] + made[2:])
-    for one in made:
-        name, joints = one.model.effects[-1]
-        gain = one.over(now)
-        hunt.tried.append(Attempt(beside=model.effects, name=name, joints=joints, gain=gain, fitted=True))
+    for other in made[::-1]:
+        name, joints = other.model.effects[-1]
+        tried[name] = _candidate(model, name, joints, other.over(now), True)
     return made
+
+
+def _candidate(model: Model, name: str, joints: tuple[int, ...], gain: float, fitted: bool) -> Candidate:
+    ((_, where),) = named(((name, joints),), model)
+    return Candidate(name=name, joints=where, gain=gain, fitted=fitted)
 
 
 def better(new: Scored, old: Scored) -> bool:
     """Return whether a model is surely better, its numbers are surely not those of none, and it removes a share of the
     error of some joint that is worth a name.
     """
+    return new.over(old) >= TIED and material(new, old) and new.sure(old) >= TIED
+
+
+def material(new: Scored, old: Scored) -> bool:
+    """Return whether a model removes a share of the error of some joint that is worth a name."""
     share = np.exp(2.0 * np.mean(np.log(by_log(new.model) / by_log(old.model)), axis=0))
-    return new.over(old) >= TIED and bool(share.min() < 1.0 - MATERIAL) and new.sure(old) >= TIED
+    return bool(share.min() < 1.0 - MATERIAL)
 
 
 def backwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scored]]:
@@ -613,9 +561,14 @@ def without(model: Model, null: Model, name: str, joints: tuple[int, ...]) -> Mo
 
 def describe(model: Model) -> str:
     """Return the effects of a model in words."""
-    joints = model.data.machine.joints
-    said = []
-    for name, own in model.effects:
-        where = ", ".join(joints[j] for j in own if j >= 0)
-        said.append(f"{name} ({where})" if where else name)
+    said = [f"{name} ({', '.join(own)})" if own else name for name, own in named(model.effects, model)]
     return " + ".join(said) or "nothing"
+
+
+def named(parts: Parts, model: Model) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return effects with the names of their joints, none for the whole machine."""
+    joints = model.data.machine.joints
+    made = []
+    for name, own in parts:
+        made.append((name, tuple(joints[j] for j in own if j >= 0)))
+    return tuple(made)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -72,25 +72,28 @@ class Tree(NamedTuple):
     """One beyond its last."""
 
 
+FULL = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
+"""Where MuJoCo has each number of an inertia."""
+
+
 def tree_of(machine: MachineModel) -> Tree:
     """Return the tree of a machine; links without a joint of their own belong to the one that carries them."""
     model = machine.model
-    count = len(machine.joints)
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
-    owner = _owners(model)
-    axes = np.stack([_axes_along(data.xaxis[j]) for j in range(count)])
+    mujoco.mj_comPos(model, data)
+    axes = np.stack([_axes_along(axis) for axis in data.xaxis])
     anchor = np.array(data.xanchor)
-    parent = np.array([_joint_before(model, owner, j) for j in range(count)])
-    mass = np.zeros(count)
-    centre = np.zeros((count, 3))
-    inertia = np.zeros((count, 3, 3))
-    for j in range(count):
-        links = [b for b in range(1, model.nbody) if owner[b] == j]
-        mass[j], whole, about = _joined(model, data, links)
-        centre[j] = axes[j].T @ (whole - anchor[j])
-        inertia[j] = axes[j].T @ about @ axes[j]
+    parent = model.dof_parentid.astype(int)
+    last = model.body_dofadr + model.body_dofnum - 1
+    owner = last[model.body_weldid]
+    whole = np.stack([data.cinert[owner == j].sum(axis=0) for j in range(model.nv)])  # about the centre of the chain
+    mass = whole[:, 9]
+    away = whole[:, 6:9] / np.maximum(mass, 1e-30)[:, None]
+    square = np.einsum("ja,ja->j", away, away)[:, None, None] * np.eye(3) - np.einsum("ja,jb->jab", away, away)
+    about = whole[:, FULL] - mass[:, None, None] * square
+    centre = away + data.subtree_com[model.body_rootid[model.dof_bodyid]] - anchor
     rotation = axes.copy()
     offset = anchor.copy()
     for j in np.flatnonzero(parent >= 0):
@@ -99,7 +102,7 @@ def tree_of(machine: MachineModel) -> Tree:
     link = np.array(data.xmat).reshape(-1, 3, 3)[machine.body]
     ends = np.array(data.xpos)[machine.body] + np.einsum("jab,jb->ja", link, machine.tip)
     toward = np.einsum("jab,jb->ja", link, machine.toward)
-    chain = np.asarray(machine.chain)
+    chain = machine.chain.tolist()
     return Tree(
         parent=parent,
         slide=np.array(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE),
@@ -107,30 +110,16 @@ def tree_of(machine: MachineModel) -> Tree:
         offset=offset,
         zero=np.array(model.qpos0),
         mass=mass,
-        centre=centre,
-        inertia=inertia,
+        centre=np.einsum("jba,jb->ja", axes, centre),
+        inertia=np.einsum("jba,jbc,jcd->jad", axes, about, axes),
         toward=np.einsum("jba,jb->ja", axes, toward),
         tip=np.einsum("jba,jb->ja", axes, ends - anchor),
         gravity=np.array(model.opt.gravity),
-        stiffness=np.array(model.jnt_stiffness, dtype=float).reshape(count, -1)[:, 0].copy(),
+        stiffness=np.array(model.jnt_stiffness, dtype=float).reshape(model.nv, -1)[:, 0].copy(),
         rest=np.array(model.qpos_spring),
-        first=np.array([int(np.flatnonzero(chain == c)[0]) for c in chain]),
-        end=np.array([int(np.flatnonzero(chain == c)[-1]) + 1 for c in chain]),
+        first=np.array([chain.index(c) for c in chain]),
+        end=np.array([len(chain) - chain[::-1].index(c) for c in chain]),
     )
-
-
-def _owners(model: Any) -> IntArray:
-    """Return the last joint that moves each body (B,), -1 where none does."""
-    owner = np.full(model.nbody, -1)
-    for b in range(1, model.nbody):
-        own = model.body_jntadr[b] + model.body_jntnum[b] - 1
-        owner[b] = own if model.body_jntnum[b] else owner[model.body_parentid[b]]
-    return owner
-
-
-def _joint_before(model: Any, owner: IntArray, j: int) -> int:
-    b = int(model.jnt_bodyid[j])
-    return j - 1 if j > model.body_jntadr[b] else int(owner[model.body_parentid[b]])
 
 
 def _axes_along(axis: FloatArray) -> FloatArray:
@@ -139,21 +128,6 @@ def _axes_along(axis: FloatArray) -> FloatArray:
     x = np.cross(across, axis)
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(axis, x), axis], -1)
-
-
-def _joined(model: Any, data: Any, links: list[int]) -> tuple[float, FloatArray, FloatArray]:
-    """Return mass, centre of mass and inertia about it of some bodies together, world axes."""
-    mass = float(sum(model.body_mass[b] for b in links))
-    if mass <= 0.0:
-        return 0.0, np.zeros(3), np.zeros((3, 3))
-    centre = sum(model.body_mass[b] * data.xipos[b] for b in links) / mass
-    about = np.zeros((3, 3))
-    for b in links:
-        turned = np.array(data.ximat[b]).reshape(3, 3)
-        away = data.xipos[b] - centre
-        about += turned @ np.diag(model.body_inertia[b]) @ turned.T
-        about += model.body_mass[b] * (away @ away * np.eye(3) - np.outer(away, away))
-    return mass, np.asarray(centre), about
 
 
 LINK = 10

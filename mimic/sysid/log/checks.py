@@ -23,7 +23,17 @@ from mimic.sysid.log.noise import (
     rounding,
     speed,
 )
-from mimic.sysid.log.pool import BETWEEN, at_odd_times, filled, followed, missing, spikes, valid_samples
+from mimic.sysid.log.pool import (
+    BETWEEN,
+    SHORTEST,
+    at_odd_times,
+    filled,
+    followed,
+    lasts,
+    missing,
+    spikes,
+    valid_samples,
+)
 from mimic.sysid.log.timing import MOST_WRONG
 
 STRANGER = float(np.sqrt(MOST))
@@ -198,10 +208,6 @@ def _list(names: list[str]) -> str:
     return ", ".join(names)
 
 
-SHORTEST = 5.0
-"""Shortest log that is accepted [s]."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogCheck:
     """What a usable log holds; arrays are (J,) in the order of its joints."""
@@ -232,7 +238,7 @@ def check_log(log: JointLog, limits: FloatArray | None = None, unit: str = "rad"
     if unit == "rad" and (fault := unit_fault(log, limits) or jump_fault(log) or wrapped(log)):
         raise CalibrationError(fault)
     target = followed(log)
-    if target is not None:
+    if target is not None and lasts(log):
         found = following(log.t, log.q, target)
         wrong = list(misassigned(log, found.correlation, found.moves))
         if wrong:
@@ -244,7 +250,11 @@ def check_log(log: JointLog, limits: FloatArray | None = None, unit: str = "rad"
     if target is not None and log.force is not None:
         asked = np.concatenate([target, log.force], axis=1)  # a force added to the drive
     moves = (np.ptp(asked, axis=0) > rounding(asked)).reshape(-1, len(log.joints)).any(axis=0)
-    warnings += [*stuck(log), *excitation(log, moves), *beyond(log, limits)]
+    if lasts(log):
+        warnings += excitation(log, moves)
+    else:
+        warnings.append(f"the log lasts {log.duration:.2f} s by its column t; {SHORTEST:g} s are needed in all")
+    warnings += [*stuck(log), *beyond(log, limits)]
     return LogCheck(log=log, noise=noise, warnings=tuple(warnings))
 
 
@@ -355,11 +365,6 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         raise CalibrationError(
             f"the log has a reading each {distance:g} s by its column t; seconds are expected, and 50 readings a second"
             " or more. If t is in milliseconds, divide it by 1000"
-        )
-    if round(log.duration, 1) < SHORTEST:  # a log of 5 s ends a target before
-        raise CalibrationError(
-            f"the log lasts {log.duration:.2f} s by its column t (in seconds);"
-            f" {SHORTEST:g} s are needed, 120 s are good"
         )
     return log, warnings
 

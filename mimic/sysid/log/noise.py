@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import correlate
 from scipy.stats import norm, truncnorm, uniform
 
 from mimic.records import BoolArray, FloatArray
@@ -109,13 +110,10 @@ def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[floa
     spread_y = y.std(axis=0)
     moves = np.ptp(target, axis=0) > rounding(target)
     shifts = np.arange(round(lags[0] / dt), round(lags[1] / dt) + 1)
-    size = 1 << int(np.ceil(np.log2(2 * len(clock))))
-    fx = np.fft.rfft(x, size, axis=0)
-    fy = np.fft.rfft(y, size, axis=0)
     correlation = np.zeros((q.shape[1], q.shape[1]))
     lag = np.full(q.shape[1], np.nan)
     for i, j in np.argwhere((spread_x > 0)[:, None] & moves[None, :]):
-        curve = np.fft.irfft(fx[:, i] * fy[:, j].conj(), size)[shifts]
+        curve = correlate(x[:, i], y[:, j], method="fft")[shifts + len(clock) - 1]
         curve = curve / (len(clock) * spread_x[i] * spread_y[j]) / (1.0 - np.abs(shifts) / len(clock))
         up = int(curve.argmax())
         down = int(curve.argmin())

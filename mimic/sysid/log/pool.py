@@ -12,7 +12,7 @@ from scipy.stats import median_abs_deviation
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
-from mimic.records import BoolArray, FloatArray
+from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.log.noise import LOW
 from mimic.sysid.log.timing import SendingTimes, joined, sending_times
 
@@ -107,6 +107,9 @@ def valid_samples(log: JointLog) -> BoolArray:
 BETWEEN = 1.0
 """Time between the logs of a pool [s]: a gap, so that it must be more than two readings are apart."""
 
+SHORTEST = 5.0
+"""Least length of all logs together, and of one in which what follows what can be told [s]."""
+
 ENABLED = "enabled"
 """Column, of all joints or with a joint's name after a point: 0 while the drive is switched off."""
 
@@ -116,34 +119,21 @@ VOLTAGE = "voltage"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
-    """One of the logs of a pool, and the drives as they were."""
-
-    name: str
-    first: int
-    """Its first row."""
-    rows: int
-    begin: float
-    """Of the first row, from that of the pool [s]."""
-    end: float
-    """Of the last row [s]."""
-    kp: FloatArray
-    """(J,)"""
-    kd: FloatArray
-    """(J,)"""
-    payload: FloatArray
-    """Mass at the end of each link beside the model's (J,) [kg]."""
-    supply: float = 1.0
-    """Supply voltage over that of the first log."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Pool:
-    """Logs of one machine."""
+    """Logs of one machine, and the drives as they were in each."""
 
     log: JointLog
-    """All rows."""
-    parts: tuple[Part, ...]
+    """All rows, from time zero."""
+    which: IntArray
+    """Log of each row (T,)."""
+    kp: FloatArray
+    """(L, J)"""
+    kd: FloatArray
+    """(L, J)"""
+    payload: FloatArray
+    """Mass at the end of each link beside the model's (L, J) [kg]."""
+    supply: FloatArray
+    """Supply voltage over that of the first log (L,)."""
     sending: tuple[SendingTimes, ...]
     """All that the logs allow (`mimic.sysid.log.timing.sending_times`)."""
 
@@ -152,6 +142,11 @@ def enabled(log: JointLog) -> BoolArray:
     """Return where drives were switched on (T, J)."""
     everywhere = log.extra.get(ENABLED, np.ones(len(log.t)))
     return np.stack([np.nan_to_num(log.extra.get(f"{ENABLED}.{j}", everywhere), nan=1.0) != 0 for j in log.joints], -1)
+
+
+def lasts(*logs: JointLog) -> bool:
+    """Return whether logs last long enough together; one of 5 s ends a target before."""
+    return round(sum(log.duration for log in logs), 1) >= SHORTEST
 
 
 def followed(log: JointLog) -> FloatArray | None:
@@ -174,49 +169,35 @@ def pool(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] = (
     refuse_contradictions(logs, names)
     if any(log.force is not None for log in logs):  # added to what the drive gives: none is a force of zero
         logs = [log if log.force is not None else replace(log, force=np.zeros(log.q.shape)) for log in logs]
-    parts: list[Part] = []
-    times = []
-    pieces = []
-    row = 0
-    at = 0.0
+    machines = [as_logged(model, log.metadata, by_force=log.q_des is None) for log in logs]
     volts = [_number(log.metadata.get(VOLTAGE), VOLTAGE, name) for log, name in zip(logs, names, strict=True)]
-    for log, name, supply in zip(logs, names, volts, strict=True):
-        machine = as_logged(model, log.metadata, by_force=log.q_des is None)
-        t = log.t - log.t[0] + at
-        parts.append(
-            Part(
-                name=name,
-                first=row,
-                rows=len(t),
-                begin=at,
-                end=float(t[-1]),
-                kp=np.array(machine.drives.kp, dtype=float),
-                kd=np.array(machine.drives.kd, dtype=float),
-                payload=_payload(log.metadata, machine, name),
-                supply=1.0 if supply is None or volts[0] is None else supply / volts[0],
-            )
-        )
-        times.append(sending_times(log))
-        pieces.append(replace(log, t=t))
-        row += len(t)
-        at = float(t[-1]) + BETWEEN
-    if len(logs) == 1:
-        return Pool(log=logs[0], parts=tuple(parts), sending=times[0])
+    loads = [_payload(log.metadata, one, name) for log, one, name in zip(logs, machines, names, strict=True)]
+    ends = np.cumsum([log.t[-1] - log.t[0] + BETWEEN for log in logs])
+    begins = np.concatenate([[0.0], ends[:-1]])
+    rows = [len(log.t) for log in logs]
     common = [n for n in CHANNELS if all(getattr(log, n) is not None for log in logs)]
     keep = {n for log in logs for n in log.extra if n in (UNREAD, VOLTAGE) or n.split(".")[0] == ENABLED}
     extra = {}
     for n in keep:
         absent = {UNREAD: 0.0, VOLTAGE: np.nan}.get(n, 1.0)
-        extra[n] = np.concatenate([p.extra.get(n, np.full(len(p.t), absent)) for p in pieces])
+        extra[n] = np.concatenate([log.extra.get(n, np.full(len(log.t), absent)) for log in logs])
     whole = JointLog(
         joints=logs[0].joints,
-        t=np.concatenate([p.t for p in pieces]),
+        t=np.concatenate([log.t - log.t[0] + begin for log, begin in zip(logs, begins, strict=True)]),
         extra=extra,
         metadata=logs[0].metadata,
-        **{n: np.concatenate([getattr(p, n) for p in pieces]) for n in common},
+        **{n: np.concatenate([getattr(log, n) for log in logs]) for n in common},
     )
-    sending = joined(times, [(p.first, p.begin) for p in parts])
-    return Pool(log=whole, parts=tuple(parts), sending=sending)
+    firsts = np.cumsum([0, *rows[:-1]]).tolist()
+    return Pool(
+        log=whole,
+        which=np.repeat(np.arange(len(logs)), rows),
+        kp=np.array([one.drives.kp for one in machines], dtype=float),
+        kd=np.array([one.drives.kd for one in machines], dtype=float),
+        payload=np.stack(loads),
+        supply=np.array([1.0 if v is None or volts[0] is None else v / volts[0] for v in volts]),
+        sending=joined([sending_times(log) for log in logs], list(zip(firsts, begins.tolist(), strict=True))),
+    )
 
 
 def refuse_contradictions(logs: Sequence[JointLog], names: Sequence[str]) -> None:

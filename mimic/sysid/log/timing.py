@@ -57,11 +57,24 @@ class SendingTimes:
     """The same for later."""
     lost: int = 0
     """How many targets never arrived: these are left out."""
+    spread: float = 0.0
+    """Range of the times by which each was late beside the others [s]."""
+    told: float = 0.0
+    """How many numbers readings determined in all that."""
 
     def without(self, lost: IntArray) -> SendingTimes:
-        """Return the times without some targets."""
-        kept = np.delete(np.arange(len(self.at)), lost)
-        return replace(self, rows=self.rows[kept], at=self.at[kept], lost=self.lost + len(lost))
+        """Return the times without some targets; one that stays is sent again, and arrives a period later."""
+        after = np.append(np.diff(self.at), np.inf)
+        period = np.median(after)
+        again = after[lost] > 1.5 * period
+        at = self.at.copy()
+        at[lost[again]] += period
+        kept = np.delete(np.arange(len(at)), lost[~again])
+        return replace(self, rows=self.rows[kept], at=at[kept], lost=self.lost + len(lost), told=self.told + len(lost))
+
+    def late(self, by: FloatArray, spread: float, told: float) -> SendingTimes:
+        """Return the times with each target later by a time of its own (K,) [s], in their order."""
+        return replace(self, at=np.maximum.accumulate(self.at + by), spread=spread, told=self.told + told)
 
 
 def first_rows(q_des: FloatArray) -> IntArray:

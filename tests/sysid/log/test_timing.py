@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimic.io.joint_log import JointLog
-from mimic.sysid.log.timing import sending_times
+from mimic.sysid.log.timing import SendingTimes, sending_times
 
 
 def logged(
@@ -115,3 +115,12 @@ def test_targets_at_any_time_are_sent_in_the_middle_or_with_the_row() -> None:
     error = between.at[1:] - (sent[newest[between.rows] - 1] - t[0])[1:]
     assert np.abs(error).max() < 0.0035
     assert between.earlier == pytest.approx(0.0025, rel=0.05)
+
+
+def test_a_lost_target_that_stays_arrives_a_period_later() -> None:
+    at = np.array([0.0, 0.02, 0.04, 0.06, 0.2, 0.22])
+    times = SendingTimes(how="row", rows=np.arange(6), at=at)
+    found = times.without(np.array([1, 3]))
+    np.testing.assert_allclose(found.at, [0.0, 0.04, 0.08, 0.2, 0.22])
+    assert found.rows.tolist() == [0, 2, 3, 4, 5]
+    assert found.lost == 2
