@@ -12,7 +12,7 @@ from mimic.errors import PlantError
 from mimic.evaluation.episode import play_episode
 from mimic.records import PHASES
 
-SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
+SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5, hold_position=False)
 LEANING, FALLEN = np.deg2rad(78.7 - 35.0), np.deg2rad(10.0)
 """Angles of base x above the ground of a robot that is about to fall, and of one that has fallen [rad]."""
 
