@@ -101,8 +101,11 @@ def end(process: subprocess.Popen[Any]) -> None:
 def _check(path: Path) -> None:
     if not path.is_file():
         raise AssetError(f"there is no scene {path}; make one with a run")
-    content = path.read_bytes()
-    if not content.startswith(MARK):
+    with path.open("rb") as file:
+        begin = file.read(len(MARK))
+        file.seek(max(path.stat().st_size - 4 * len(FOOTER), 0))
+        end = file.read()
+    if begin != MARK:
         raise AssetError(f"{path} is no Rerun scene; name the folder of a run, or its scene.rrd")
-    if FOOTER not in content[-4 * len(FOOTER) :]:
+    if FOOTER not in end:
         raise AssetError(f"{path} is cut short; copy it again or repeat the run. To see what is left: rerun {path}")
