@@ -36,6 +36,9 @@ from mimic.sysid.log.pool import (
 )
 from mimic.sysid.log.timing import MOST_WRONG
 
+LEAST = 0.1
+"""A shorter log shows no motion [s]."""
+
 STRANGER = float(np.sqrt(MOST))
 """With one that it follows badly: the target does not explain most of its squares."""
 
@@ -365,6 +368,11 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         raise CalibrationError(
             f"the log has a reading each {distance:g} s by its column t; seconds are expected, and 50 readings a second"
             " or more. If t is in milliseconds, divide it by 1000"
+        )
+    if log.duration < LEAST:
+        raise CalibrationError(
+            f"the log lasts {log.duration:.2f} s by its column t (in seconds); {LEAST:g} s are needed, and"
+            f" {SHORTEST:g} s in all logs to calibrate"
         )
     return log, warnings
 
