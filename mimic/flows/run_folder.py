@@ -140,7 +140,9 @@ def new_run_folder(source: Path | str, out: Path | None) -> Path:
         ConfigError: If ``out`` holds files already.
     """
     if out is not None:
-        store.check_new_folder(out)
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise ConfigError(f"{out} exists and is not empty; name another folder with --out, or remove it")
+        store.check_writable(out.parent if not out.exists() else out)
         return out
     if isinstance(source, str):
         name = "-".join(re.findall(r"[a-z0-9]+", source.lower())[:6]) or "text"

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mimic.config.text_file import from_json
-from mimic.errors import AssetError, ConfigError
+from mimic.errors import AssetError
 from mimic.records import AXES, Provenance, Record
 from mimic.version import __version__
 
@@ -47,18 +47,6 @@ def check_writable(folder: Path) -> None:
         raise AssetError(
             f"nothing can be written to {folder}: {there}: {reason.strerror}; name another place"
         ) from None
-
-
-def check_new_folder(folder: Path) -> None:
-    """Make sure that files can be written into a folder that does not exist yet, or is empty.
-
-    Raises:
-        ConfigError: If it holds files already.
-        AssetError: If nothing can be written there.
-    """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ConfigError(f"{folder} exists and is not empty; name another folder with --out, or remove it")
-    check_writable(folder)
 
 
 def free_folder(folder: Path) -> Path:

@@ -142,6 +142,8 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
     assert log.q_des is not None
     rng = np.random.default_rng(0)
     write_log(replace(log, q_des=rng.permutation(log.q_des)), here / "wrong.parquet")
+    (here / "out").mkdir()
+    (here / "out" / "effects.toml").write_text("of an earlier log")
     assert main(["calibrate", "wrong.parquet", "--model", "robot.xml", "-o", "out"]) == 2
     assert sorted(p.name for p in (here / "out").iterdir()) == ["calibration.json", "report.html"]
     assert "does not match the model" in (here / "out" / "report.html").read_text()
@@ -165,14 +167,15 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
         (["calibrate", "log.csv", "--note", "kp"], "--note kp: expected KEY=VALUE"),
         (["calibrate", "log.csv", "--note", "b.csv:kp=1"], "b.csv is none of the logs: log.csv"),
         (["calibrate", "log.csv", "--model", "robot.xml", "--note", "kp=-1"], "what is said of log.csv: kp is -1"),
-        (["calibrate", "log.csv", "-o", "robot.xml"], "robot.xml exists and is not empty"),
-        (["calibrate", "log.csv", "-o", "."], ". exists and is not empty; name another folder with --out"),
+        (["calibrate", "log.csv", "-o", "robot.xml"], "robot.xml is a file"),
+        (["calibrate", "log.csv", "-o", "earlier"], "earlier holds an earlier calibration; name another folder with"),
         (["calibrate", "log.csv", "-o", "robot.xml/out"], "nothing can be written to robot.xml/out"),
         (["calibrate", "log.csv", "--effects", "spring", "--effects", "spring"], "names an effect twice"),
         (["calibrate", "log.csv", "--effects", "effects.toml"], "effect 'effects.toml' is not in the catalogue"),
         (["calibrate", "log.csv", "--baseline", "friction"], "effect 'friction' is not in the catalogue"),
         (["calibrate", "log.csv", "--threads", "-1"], "threads is -1"),
         (["log", "replay", "missing.csv"], "missing.csv does not exist"),
+        (["log", "replay", "log.csv", "--model", "robot.xml"], "lasts 0.01 s"),
         (["log", "replay", "log.csv", "--effects", "a.toml", "--effects", "a.toml"], "names a file twice"),
         (["log", "replay", "log.csv", "--effects", "none.toml"], "none.toml cannot be read"),
         (["log", "replay", "log.csv", "-o", "robot.xml/a.json"], "nothing can be written to robot.xml"),
@@ -194,6 +197,8 @@ def test_what_cannot_work_is_said_and_nothing_is_written(
     (here / "log.csv").write_text(f"t,q.hinge,q_des.hinge\n{rows}")
     (here / "knee.csv").write_text(f"t,q.knee,q_des.knee\n{rows}")
     (here / "forces.csv").write_text(f"t,q.hinge,force.hinge\n{rows}")
+    (here / "earlier").mkdir()
+    (here / "earlier" / "calibration.json").write_text("{}")
     before = sorted(here.rglob("*"))
     assert main(words) == 2
     assert reason in capsys.readouterr().err

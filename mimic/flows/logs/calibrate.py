@@ -58,7 +58,7 @@ def calibrate(
         model: MJCF whose base is held, or a machine; by default the CyberDog 2 hung up.
         settings: How the log is explained.
         out: Also write report.html, calibration.json, effects.toml, model.xml and actuators.json into this folder,
-            which must not hold files yet.
+            which must not hold an earlier calibration.
         reporter: Receives progress; warnings are in the result.
 
     Returns:
@@ -67,7 +67,7 @@ def calibrate(
     Raises:
         CalibrationError: If a log cannot be used, does not fit the model, or contradicts another.
         AssetError: If a file cannot be read.
-        ConfigError: If a setting names an effect that does not exist, a note is none, or ``out`` holds files.
+        ConfigError: If a setting names an effect that does not exist, a note is none, or ``out`` holds a calibration.
     """
     from mimic.io.joint_log import JointLog
     from mimic.sysid.calibrate import calibrate as explain
@@ -76,7 +76,11 @@ def calibrate(
     settings = settings or CalibrateSettings()
     reporter = reporting(reporter)
     if out is not None:
-        store.check_new_folder(out)
+        if out.exists() and not out.is_dir():
+            raise ConfigError(f"{out} is a file; name a folder with --out")
+        if (out / RESULT).exists():
+            raise ConfigError(f"{out} holds an earlier calibration; name another folder with --out, or remove it")
+        store.check_writable(out)
     check_names(settings)
     logs = [log] if isinstance(log, (str, Path, JointLog)) else list(log)
     if not logs:
@@ -320,4 +324,7 @@ def save_calibration(result: Calibration, out: Path, model: tuple[Path, MachineM
             made += _model_files(*model, result, part) if model is not None else []
             if result.next_motion is not None and result.next_motion.tells:
                 made.append(write_log(result.next_motion.log, part / NEXT))
+        for name in (EFFECTS, MODEL, ACTUATORS, NEXT):
+            if part / name not in made:
+                (out / name).unlink(missing_ok=True)  # of an earlier log
         return [file.replace(out / file.name) for file in made]
