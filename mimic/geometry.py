@@ -65,6 +65,27 @@ def turned_about_up(quat_WB: Any, angle: float) -> NDArray[np.float64]:
     return multiply_quats([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)], quat_WB)
 
 
+def turned_by(quat_WB: Any, rotation: Any, xp: Any) -> Any:
+    """Return orientations (..., 4), wxyz, turned by rotation vectors (..., 3) in world axes [rad].
+
+    ``xp`` is ``numpy`` or ``torch``.
+    """
+    angle = xp.sqrt((rotation * rotation).sum(-1) + 1e-18)
+    share = xp.sin(0.5 * angle) / angle
+    a = xp.cos(0.5 * angle)
+    b, c, d = (rotation[..., i] * share for i in range(3))
+    w, x, y, z = (quat_WB[..., i] for i in range(4))
+    return xp.stack(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ],
+        -1,
+    )
+
+
 def without_pitch(quat_WB: Any, pitch: Any, xp: Any) -> Any:
     """Return orientations (..., 4), wxyz, of a base before it was turned about its own y axis.
 

@@ -37,6 +37,8 @@ class RunSettings(Limited):
     """Bring a robot that drifts back to where it stood, and let it come as far as it is asked to, by leg odometry."""
     arms: Literal["network", "inverse_kinematics"] | None = None
     """Who moves the front legs; default: what the policy's contract says."""
+    lean_against_pulls: bool = True
+    """Lean against a pull that is felt in the front legs, and turn to it (mimic/robot/pull.py)."""
 
 
 @frozen

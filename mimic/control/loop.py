@@ -125,7 +125,8 @@ def run_policy(
     error: Exception | None = None
     try:
         with safety.signals.interrupts_counted() if counted else nullcontext():
-            error = _play(run, policy, motion, sit_down, sit_ticks, position)
+            pilot = Pilot(run, lean_against_pulls=settings.lean_against_pulls)
+            error = _play(pilot, policy, motion, sit_down, sit_ticks, position)
     finally:
         plant.close()
     events = tuple(safety.supervisor.events)
@@ -160,7 +161,7 @@ def _report(progress: Callable[[int, int], None], expected: int, done: int) -> N
 
 
 def _play(
-    run: Run,
+    pilot: Pilot,
     policy: Policy,
     motion: DesiredMotion,
     sit_down: Policy | None,
@@ -168,8 +169,8 @@ def _play(
     position: HeldPosition | KeptDistance | None,
 ) -> Exception | None:
     """Ramp, follow, sit down and damp; return what failed, after damping the robot."""
+    run = pilot.run
     safety = run.safety
-    pilot = Pilot(run)
     try:
         run.begin()
         if safety.ramp > 0.0:

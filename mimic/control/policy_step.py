@@ -17,6 +17,7 @@ from mimic.policy.contract import FRONT, ObservationBuilder, PolicyContract, joi
 from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, Command, FloatArray, JointCommand
 from mimic.robot.arm_torques import ArmTorques
+from mimic.robot.pull import StandsAgainstPull
 
 
 @frozen_arrays
@@ -42,11 +43,12 @@ def observation_width(*policies: Policy | None) -> int:
 class Pilot:
     """Lets policies act in a run; the front legs and the trunk's lean are its own."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, *, lean_against_pulls: bool = True) -> None:
         self.run = run
         self._description = run.plant.description
         self._arm_torques = ArmTorques(self._description)
         self._trunk = Trunk(self._description)
+        self._pull = StandsAgainstPull(self._description) if lean_against_pulls else None
 
     def tick(
         self,
@@ -79,7 +81,10 @@ class Pilot:
             return None
         v_des, p_BE_des, clamped = clamp_desired(desired.v, desired.p_BE, self._description)
         clamped += self._trunk.advance(desired.height, desired.pitch)
-        seen = self._trunk.seen(self.run.sensed)
+        seen = self.run.sensed
+        if arms is not None and self._pull is not None:
+            seen = replace(seen, quat_WB=self._pull.shown(seen))
+        seen = self._trunk.seen(seen)
         observation = builder.observe(
             q=seen.q,
             quat_WB=seen.quat_WB,

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.control.loop import RunResult, run_policy
@@ -23,10 +23,9 @@ from mimic.evaluation.episode import TIMING, of_episode, without_start
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.policy.runtime import Policy
-from mimic.records import Command, FloatArray, RobotState, Tick
+from mimic.records import Command, FloatArray, Tick
 from mimic.robot.description import RobotDescription
-from mimic.robot.model import TOES
-from mimic.robot.rigid_body import rigid_body_model
+from mimic.robot.pull import PullEstimator
 from mimic.simulation.hand import Hand
 
 STOPS_WITHIN = 1.0
@@ -37,34 +36,6 @@ FOLLOWS = 0.3
 
 STANDS_STILL = 0.08
 """It has stopped if its mean velocity is at most this [m/s]: stepping in place it may sway and drift."""
-
-STRETCHED = 0.02
-"""Damping of the estimate [m]: a stretched leg says nothing about a force along it."""
-
-
-class PullEstimator:
-    """The force on each front toe, from the torques of its leg."""
-
-    def __init__(self, description: RobotDescription) -> None:
-        self._model, _ = rigid_body_model(description)
-        self._data = self._model.createData()
-        self._frames = [self._model.getFrameId(name) for name in TOES[:2]]
-
-    def force(self, state: RobotState) -> FloatArray:
-        """Return the force on the left and the right front toe (2, 3), world axes [N], as if the robot were at rest."""
-        w, x, y, z = state.quat_WB
-        q = np.concatenate([np.zeros(3), [x, y, z, w], state.q])
-        gravity = pin.computeGeneralizedGravity(self._model, self._data, q)[6:]
-        pin.computeJointJacobians(self._model, self._data, q)
-        pin.updateFramePlacements(self._model, self._data)
-        forces = np.zeros((2, 3))
-        for side, frame in enumerate(self._frames):
-            jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-            own = slice(3 * side, 3 * side + 3)
-            leg = jacobian[:3, 6:][:, own]
-            excess = gravity[own] - state.tau[own]
-            forces[side] = np.linalg.solve(leg @ leg.T + STRETCHED**2 * np.eye(3), leg @ excess)
-        return forces
 
 
 class HandLeading:
@@ -165,7 +136,8 @@ def lead_robot(
             leading.stop()
 
     safety = of_episode(Supervisor(plant.description, rules=(FALLEN,)))
-    result = run_policy(plant, policy, leading, TIMING, sink=see, safety=safety)
+    timing = replace(TIMING, lean_against_pulls=False)  # it walks along instead
+    result = run_policy(plant, policy, leading, timing, sink=see, safety=safety)
     if result.error is not None:
         raise result.error
     return without_start(result)

@@ -17,7 +17,7 @@ from mimic.train.tensors import Chance, put
 QUIET_PUSH = 0.25
 """Factor on the pushes of quiet worlds …"""
 
-HARD_PUSH = 0.25
+HARD_PUSH = 0.5
 """… but for this share of them, which are as hard as anywhere: a robot at rest has to catch itself, too."""
 
 QUIET_TILT = 2.0
@@ -132,6 +132,11 @@ class Disturbances(Chance):
         put(self._from, mask, self._uniform(*r.drag_from))
         for flag in (self.held, self.came):
             flag.logical_and_(~mask)
+
+    @property
+    def pulled(self) -> Tensor:
+        """True while a steady pull lasts (N,); a robot that is led follows its hand."""
+        return (self.pull.abs().sum((1, 2)) > 0.0) & ~self.led
 
     def arrives(self) -> Tensor:
         """Return whether the command of this control step arrives (N, 1)."""

@@ -19,7 +19,7 @@ from torch.nn.functional import pad
 from mimic.config.training import MdpSettings
 from mimic.dynamics.robot_model import command_in_effect
 from mimic.errors import ConfigError
-from mimic.geometry import heading_sin_cos, upright_cosine, without_pitch, without_pitch_rate
+from mimic.geometry import heading_sin_cos, turned_by, upright_cosine, without_pitch, without_pitch_rate
 from mimic.io.store import plain
 from mimic.policy.contract import (
     AVERAGED,
@@ -38,6 +38,7 @@ from mimic.robot.arm_torques import ArmTorques
 from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN
 from mimic.robot.leg_kinematics import front_toes
+from mimic.robot.pull import BEGINS, SMOOTHING, PullBalance
 from mimic.train import rewards
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
 from mimic.train.cuda_graphs import Replayed
@@ -67,6 +68,9 @@ SWAY_SECONDS = 0.25
 GRACE_STEPS = 30
 """Control steps in which a rising robot may touch the ground, but not lift a hind toe high or move a joint fast; as in
 the paper, whose limits are 0.06 m and 0.3 rad (the description's are lower)."""
+
+PULL_ERROR = 1.0
+"""Largest error along each axis of what is felt of a pull on a toe, for an episode [N]: payloads, friction."""
 
 CAPTURE_REACH = 0.05
 """How far a capture point that has left the feet is before or behind the line between them [m]."""
@@ -125,6 +129,7 @@ class StandTrackEnv(VecEnv, Chance):
         self.arms = ArmSchedule(description, self.contract, settings, device, seed)
         self._arm_torques = ArmTorques(description, torch, device)
         self.trunk = TrunkSchedule(description, self.contract, settings, device)
+        self._balance = PullBalance(description)
         self._drives_arms = self.contract.arms == INVERSE_KINEMATICS
         self.moves = MoveSchedule(self.contract, settings, device)
         self._starts = Starts(description, settings, device)
@@ -202,6 +207,8 @@ class StandTrackEnv(VecEnv, Chance):
         self._known = zeros()
         self._reward = zeros()
         self._load = zeros(2)
+        self._felt = zeros(2, 3)
+        self._felt_error = zeros(2, 3)
         self._done = zeros(dtype=torch.bool)
         self._time_out = zeros(dtype=torch.bool)
         self._mean_velocity = zeros(2)
@@ -344,17 +351,28 @@ class StandTrackEnv(VecEnv, Chance):
         self.disturbances.advance(self.episode_length_buf, toes, self._heading)
         moment = torch.linalg.cross(toes - w.xipos[:, self._front_knees], force)
         w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
+        share = self.contract.dt / (SMOOTHING + self.contract.dt)
+        self._felt.add_(share * (force + self._felt_error - self._felt))
 
     def _measure(self) -> None:
         """Work out, once for each state, what many look at.
 
         ``quat_WB`` is the orientation of the base in the true world, whose z is up also where the ground is inclined,
-        as if the trunk were not leant.
+        as if the trunk were not leant and nobody pulled at the robot; the heading is the true one.
         """
         w = self.worlds
-        self._quat_WB = without_pitch(quat_multiply(w.slope_quat, w.qpos[:, 3:7]), self.trunk.now.asked[:, 1], torch)
-        self._heading.copy_(torch.arctan2(*heading_sin_cos(*self._quat())))  # both captured graphs read it
-        self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
+        quat = without_pitch(quat_multiply(w.slope_quat, w.qpos[:, 3:7]), self.trunk.now.asked[:, 1], torch)
+        self._heading.copy_(torch.arctan2(*heading_sin_cos(*quat.unbind(-1))))  # both captured graphs read it
+        from_feet = torch.nan_to_num(w.toes[:, :2] - w.toes[:, 2:].mean(1, keepdim=True))
+        counts = self._stands_against_pulls().float()[:, None, None]
+        self._quat_WB = turned_by(quat, self._balance.turn(counts * self._felt, from_feet, self._heading, torch), torch)
+        shown = torch.arctan2(*heading_sin_cos(*self._quat()))
+        self._up = upright_cosine(*self._quat(), heading=shown, direction=self._upright, xp=torch)
+
+    def _stands_against_pulls(self) -> Tensor:
+        """Return where a pull counts (N,): not yet where the arms have just begun to move, nor where a hand leads."""
+        since = self.episode_length_buf - STAND_UP_STEPS * (~self._upright_start)
+        return (since * self.contract.dt > BEGINS) & ~self.disturbances.led & self._drives_arms
 
     def _quat(self) -> tuple[Tensor, ...]:
         return self._quat_WB.unbind(-1)
@@ -453,7 +471,8 @@ class StandTrackEnv(VecEnv, Chance):
         settled = self._settled.float()
         asked = (self._gait * (1 - settled))[:, None]  # or a robot turns away, so that its clock starts
         # by the command, or a robot that turns away a little would be asked to step, and need not rest
-        resting = torch.maximum(1 - self._gait, settled) * rising.ge(1) * ~toppling
+        pulled = self.disturbances.pulled
+        resting = torch.maximum(1 - self._gait, settled) * rising.ge(1) * ~toppling * ~pulled
 
         toes = self._toes_now(low)
         stepping = rewards.stepping(self._phase(), toes.clearance, toes.contact, self.settings.swing_height)
@@ -472,7 +491,7 @@ class StandTrackEnv(VecEnv, Chance):
             "velocity": rewards.velocity(sway, self._velocity() - self.moves.wanted, standing),
             "heading": rewards.heading(turn, standing),
             "gait": rewards.gait(stepping, planted, asked, standing),
-            "drift": rewards.drift(drift, tracking),
+            "drift": rewards.drift(drift, tracking * ~pulled),
             "slip": toes.slip,
             "foot_shift": rewards.foot_shift(self._way_of_feet(hind), self._early()),
             "terminations": met,
@@ -480,7 +499,7 @@ class StandTrackEnv(VecEnv, Chance):
             "low": rewards.low(low[:, self._near_ground]),
             "unrest": rewards.unrest(change, resting),
             "shuffle": rewards.shuffle(toes.speed, toes.contact, resting),
-            "heat": rewards.heat(terms["torque"]),
+            "heat": rewards.heat(terms["torque"]) * ~pulled,
             "overload": rewards.overload(overload),
             "fall": ended.float(),
         }
@@ -616,6 +635,7 @@ class StandTrackEnv(VecEnv, Chance):
         put(w.qpos, mask, start.qpos)
         put(w.qvel, mask, start.qvel)
         self.trunk.reset(mask)
+        put(self._felt, mask, 0.0)
         self._measure()
         for command in self._commands:
             put(command, mask, start.command)
@@ -631,6 +651,7 @@ class StandTrackEnv(VecEnv, Chance):
         put(self.phase_at_start, mask, self._first_phase(start))
         self.disturbances.reset(mask)
         put(self._q_before, mask, start.qpos[:, 7:])
+        put(self._felt_error, mask, self._uniform(-PULL_ERROR, PULL_ERROR, 2, 3))
         self.episode_length_buf.mul_(~mask)
         self.moves.reset(mask, start.heading)
         self.arms.reset(mask, start.upright, w.qpos[:, 7:])
