@@ -144,7 +144,7 @@ def posture(track: PoseTrack) -> str:
         return ""
     pixels = in_pixels(track)[rows]
     trunk = pixels[:, SHOULDERS].mean(axis=1) - pixels[:, HIPS].mean(axis=1)
-    up = float(np.median(-trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=-1), 1e-9)))
+    up = np.median(-trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=-1), 1e-9))
     if up < -ACROSS:
         return "the shoulders are below the hips; if the video is upside down, rotate it"
     if up < ACROSS:
