@@ -42,6 +42,7 @@ SIT_DOWN = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.8)
 MOTIONS = {
     "step_and_wave": (0.0, 0.9, 1.8, 2.6, 3.4, 4.15),
     "ballet_in_words": (0.5, 1.3, 3.2, 4.0, 5.4, 6.6, 8.0, 8.9),
+    "boxing_in_words": (0.8, 1.15, 1.85, 2.55, 2.9, 3.6, 3.95),
 }
 """Times of the motions in words that their strips show [s]."""
 WORST = (29.0, 32.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +18,12 @@ from mimic.policy.contract import METADATA_KEY, NETWORK, PolicyContract
 from mimic.policy.runtime import load_policy
 from mimic.records import CommandTrack, Health, JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription, load_description
+
+
+def pytest_configure() -> None:
+    """Let Ctrl-C be counted where the shell ignores it, as it does for a job behind ``&``."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects

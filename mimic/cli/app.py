@@ -73,7 +73,7 @@ class _Flowing:
 app = App(
     name="mimic",
     version=__version__,
-    help="Play human motion on a CyberDog 2 standing on its hind legs: in simulation or on a real robot.",
+    help="Play human motion on a CyberDog 2 or a Go2 standing on its hind legs: in simulation or on a real robot.",
     help_epilogue=EXAMPLES,
     usage="Usage: mimic SOURCE --sim [OPTIONS]\n       mimic COMMAND [OPTIONS]",
     default_parameter=DEFAULTS,

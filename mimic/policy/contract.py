@@ -260,7 +260,7 @@ class PolicyContract:
         """
         if self.robot != description.name:
             raise ContractError(
-                f"the policy was trained for {self.robot}; it cannot drive the robot {description.name}"
+                f"the policy was trained for {self.robot}; it cannot drive the robot {description.name} (--robot-model)"
             )
         pairs = (
             ("joint order", self.joints, JOINTS),

@@ -111,7 +111,10 @@ def test_the_shipped_contract_fits_the_robot(contract, description):
 @pytest.mark.parametrize(
     ("what", "change"),
     [
-        ("the policy was trained for cyberdog9; it cannot drive the robot cyberdog2", lambda c: {"robot": "cyberdog9"}),
+        (
+            "the policy was trained for cyberdog9; it cannot drive the robot cyberdog2 (--robot-model)",
+            lambda c: {"robot": "cyberdog9"},
+        ),
         ("joint order", lambda c: {"joints": c.joints[3:] + c.joints[:3]}),
         ("control step is 0.01; this robot expects 0.02", lambda c: {"dt": 0.01}),
         ("observation terms", lambda c: {"terms": c.terms[:-1]}),

@@ -400,7 +400,7 @@ def _implausible(wrists: WristTrack) -> Iterator[str]:
     if not LONGEST[0] <= wrists.arm_length <= LONGEST[1] and np.isfinite(wrists.arm_length):
         raise SourceError(
             f"the arms are {wrists.arm_length:.3g} m long; expected {LONGEST[0]:g} to {LONGEST[1]:g} m: give the "
-            "positions in metres"
+            "positions in metres, or film arms that stretch"
         )
     left, right = (
         np.median(own[seen]) if seen.any() else 0.0 for own, seen in zip(across, wrists.valid.T, strict=True)

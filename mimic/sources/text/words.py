@@ -28,7 +28,8 @@ _REWRITTEN = (  # phrases that mean others
     (r"\ban?(other)? (?=(second|minute|met(re|er)|foot)\b)", "1 "),
     (r"\b(every|per) (?=second\b)", r"\1 1 "),
     (
-        r"\b(jab|cross|hook|uppercut|punch|spin|wave|step)s? (?=((left|right) )?(jab|cross|hook|uppercut)s?\b|\1\b)",
+        r"\b(jab|cross|hook|uppercut|punch|box|spin|wave|step)s? "
+        r"(?=((left|right) )?(jab|cross|hook|uppercut)s?\b|\1\b)",
         r"\1, ",
     ),
     (r"\bone two (?=one two\b)", "one two, "),

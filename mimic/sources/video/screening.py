@@ -144,7 +144,7 @@ def posture(track: PoseTrack) -> str:
         return ""
     pixels = in_pixels(track)[rows]
     trunk = pixels[:, SHOULDERS].mean(axis=1) - pixels[:, HIPS].mean(axis=1)
-    up = float(np.median(-trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=-1), 1e-9)))
+    up = np.median(-trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=-1), 1e-9))
     if up < -ACROSS:
         return "the shoulders are below the hips; if the video is upside down, rotate it"
     if up < ACROSS:
@@ -154,7 +154,8 @@ def posture(track: PoseTrack) -> str:
         )
     wide = np.linalg.norm(pixels[:, _EARS[0]] - pixels[:, _EARS[1]], axis=-1)
     high = np.linalg.norm(pixels[:, _EYES].mean(axis=1) - pixels[:, _MOUTH].mean(axis=1), axis=-1)
-    if np.median(wide / np.maximum(high, 1.0)) > FLAT_FACE:
+    behind = np.median(pixels[:, SHOULDERS[0], 0] - pixels[:, SHOULDERS[1], 0]) < 0
+    if not behind and np.median(wide / np.maximum(high, 1.0)) > FLAT_FACE:
         return f"the person is wider {_SQUEEZED}"
     lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
     if np.quantile(lean, 0.8) > LEANT or _hips_bent(track) > BENT:

@@ -91,6 +91,12 @@ def test_a_person_on_their_head_lying_or_squeezed_is_noticed():
     assert "wider" in posture(replace(track, size=(SIZE[0] * 2, SIZE[1])))
 
 
+def test_a_face_tells_nothing_from_behind():
+    track = standing()
+    behind = replace(track, image=track.image * (-1, 1) + (1, 0), landmarks=track.landmarks * (-1, 1, 1))
+    assert "wider" not in posture(replace(behind, size=(SIZE[0] * 2, SIZE[1])))
+
+
 def test_who_sits_or_leans_is_told_that_the_robot_does_not():
     track = standing()
     knees = [LANDMARKS.index(f"{side}_knee") for side in ("left", "right")]
