@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import cycle, product
 from typing import Any
 
 import numpy as np
@@ -34,6 +36,13 @@ DEAD = 0.3
 
 STOP_FOR = 1.0
 """Stops are sent until every motor confirms, for this long at most [s]: a busy computer reads late."""
+
+HEEDS = 0.1
+"""From this long after the first damping on, motors that damp have no torque but what brakes them [s]."""
+
+BEYOND_BRAKE = 0.3
+"""Torque beyond kd times the faster of two velocities in a row that shows that a motor is driven, as a share of its
+peak. Emulated robots that fall damped show up to 0.2."""
 
 _LOOK = 0.002
 """How often to look for orders while a bus fails [s]."""
@@ -75,12 +84,18 @@ class CanDriver:
         self._dry = dry_run
         self._torque_limit = float(description.torque_max.min()) if torque_limit is None else torque_limit
         self._report = no_report()
-        self._failures = self._asked_count = 0
+        self._failures = 0
+        self._questions = cycle(product(ALL, (Register.SUPPLY_VOLTAGE, Register.POSITION)))
+        """One motor after the other is asked for its supply voltage; where it has none to tell, for its position."""
         self._tried: FloatArray = np.full(wiring.buses, -np.inf)
         self._next_question = -np.inf
         self._waits: float | None = None
         """When the motors were asked that have not all answered [s]."""
         self._damped = -np.inf
+        self._heeds = np.inf
+        self._dq: FloatArray = np.zeros(len(JOINTS))
+        self._driven = np.zeros(len(JOINTS), dtype=int)
+        """Answers of each motor that show that it is driven although it was told to damp."""
         self._left = list(ALL)
         self._on = False
 
@@ -144,11 +159,9 @@ class CanDriver:
         motor_bus = self.motor_bus
         now = self.now()
         sent = None
-        try:
+        with self._noted():
             motor_bus.drain()
-        except BusError as reason:
-            self._fail(reason)
-        try:
+        with self._noted():
             if self._dry:
                 self._stop(ALL)
                 sent = command
@@ -156,9 +169,7 @@ class CanDriver:
                 sent = motor_bus.command(command)
             if now >= self._next_question:
                 self._next_question = now + ASK_EVERY
-                self._ask()
-        except BusError as reason:
-            self._fail(reason)
+                motor_bus.ask_round_trip(*next(self._questions))
         self._note_sent(sent, ALL)
         self._waits = now
 
@@ -170,31 +181,29 @@ class CanDriver:
         for name, value in (("q_sent", "q_des"), ("kp_sent", "kp"), ("kd_sent", "kd")):
             report[name][asked] = np.nan if sent is None else getattr(sent, value)[asked]
 
-    def _ask(self) -> None:
-        """Ask one motor after the other for its supply voltage; where it has none to tell, for its position."""
-        turn = self._asked_count
-        self._asked_count = self._asked_count + 1
-        register = (Register.SUPPLY_VOLTAGE, Register.POSITION)[turn % 2]
-        self.motor_bus.ask_round_trip(turn // 2 % len(JOINTS), register)
-
     def _stop(self, joints: Sequence[int]) -> None:
         motor_bus = self.motor_bus
         for joint in joints:
             motor_bus.send(joint, motor_bus.motors.stop(motor_bus.id(joint)))
 
-    def _fail(self, reason: BusError) -> None:
-        self._failures += 1
-        self.problem = str(reason)
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        """Note where a bus fails, and go on."""
+        try:
+            yield
+        except BusError as reason:
+            self._failures += 1
+            self.problem = str(reason)
 
     def listen(self, until: float, wake: int | None = None) -> bool:
         """Take what comes until a time [s]; return early, with True, once every motor that was asked has answered."""
         link = self.motor_bus.link
         link.wake = wake
         link.woken = False
-        try:
+        failures = self._failures
+        with self._noted():
             self.motor_bus.listen(until, lambda: self._complete() or link.woken)
-        except BusError as reason:
-            self._fail(reason)
+        if self._failures > failures:
             left = max(until - self.now(), 0.0)
             link.sleep(left if wake is None else min(left, _LOOK))
         if self._complete():
@@ -209,25 +218,37 @@ class CanDriver:
     # ------------------------------------------------------------------ damping and off
 
     def damp(self) -> None:
-        """Damp every motor as much as it can. A bus that fails is opened again; the others are still served."""
+        """Damp every motor as much as it can, or switch off what is driven all the same.
+
+        A bus that fails is opened again; the others are still served.
+        """
         motor_bus = self.motor_bus
         d = self._description
         now = self.now()
+        self._note_driven(now)
+        off = (self._driven > 1) | (np.count_nonzero(self._driven) > 2) | self._dry
         q, _, _ = motor_bus.readings(-np.inf)
         q = np.clip(np.where(np.isnan(q), d.poses["lie"], q), d.q_min, d.q_max)
         damping = damping_command(q, d.kd_max)
         self._damped = now
         for joint in ALL:
-            sent = damping if self._dry else None
-            try:
-                if self._dry:
+            sent = damping if off[joint] else None
+            with self._noted():
+                if off[joint]:
                     self._stop([joint])
                 else:
                     sent = motor_bus.command(damping, [joint])
-            except BusError as reason:
-                self._fail(reason)
             self._note_sent(sent, [joint])
         self._open_again(ALL, now)
+
+    def _note_driven(self, now: float) -> None:
+        """Count answers to the last damping with a torque that does not brake: such a bus changes what it carries."""
+        self._heeds = min(self._heeds, now + HEEDS)
+        _, dq, tau = self.motor_bus.readings(self._damped)
+        d = self._description
+        most = d.kd_max * np.fmax(np.abs(dq), np.abs(self._dq)) + BEYOND_BRAKE * d.torque_max
+        self._driven += (np.abs(tau) > most) & (now > self._heeds)
+        self._dq = dq
 
     def _open_again(self, joints: Sequence[int], now: float) -> None:
         """Begin to open the buses of joints again that fail."""
@@ -259,10 +280,8 @@ class CanDriver:
         if not self._left or now - since >= STOP_FOR:
             return self._left_as()
         for joint in self._left:
-            try:
+            with self._noted():
                 self._stop([joint])
-            except BusError as reason:
-                self._fail(reason)
         self._open_again(self._left, now)
         return None
 

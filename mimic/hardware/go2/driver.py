@@ -60,13 +60,16 @@ GONE_ON = "another program still commands the robot: hold the robot, and end tha
 """How a robot is left to which another program still sends."""
 
 UNREACHED = (
-    "the robot does not answer, and what it does without messages is not published: it may hold its last command; hold "
-    "it, and switch it off"
+    "the robot does not answer, or not to damping, and what it does without messages is not published: it may hold its "
+    "last command; hold it, and switch it off"
 )
 """How a robot is left that no message reaches."""
 
 RESTED = "the robot was damped until it rested, and damping is the last it was sent; restart it to use its own modes"
 """How a robot should be left."""
+
+HOLDS = 2.0
+"""A joint that rests with more torque than this still follows an older command [N m]."""
 
 OWN_MODE = (
     "its own mode {mode!r} is active again, as by its remote control, and drives the robot: lay it down with that, or "
@@ -373,9 +376,9 @@ class Go2Driver(BoardDriver):
             return OWN_MODE.format(mode=self.mode)
         if self.now() - self._foreign < LAST_DAMPING:
             return GONE_ON
-        if rested:
+        if rested and np.abs(self.report["tau"]).max() <= HOLDS:
             return RESTED
-        if not self._answers():
+        if rested or not self._answers():
             return f"{UNREACHED} ({self.problem})" if self.problem else UNREACHED
         seconds = self._limits.damp_seconds
         return f"the robot was damped for {seconds:g} s and still moves; damping is the last it was sent: hold it"

@@ -246,21 +246,19 @@ class BoardDriver:
             raise FrameError("a command holds numbers that are not finite")
         limits = self._order.limits
         report = self.report
-        kp = command.kp
-        kd = command.kd
-        if kp.max() > limits.kp or kd.max() > limits.kd:
+        if command.kp.max() > limits.kp or command.kd.max() > limits.kd:
             raise FrameError(
-                f"a command has Kp {kp.max():g} and Kd {kd.max():g}; {self.name} takes up to {limits.kp:g} and "
-                f"{limits.kd:g}"
+                f"a command has Kp {command.kp.max():g} and Kd {command.kd.max():g}; {self.name} takes up to "
+                f"{limits.kp:g} and {limits.kd:g}"
             )
-        q, dq, tau = self._followed(command, kp, kd)
+        q, dq, tau = self._followed(command)
         dq, tau = (np.clip(v, -most, most) for v, most in ((dq, limits.velocity), (tau, limits.torque)))
-        self._send(q, dq, kp, kd, tau)
+        self._send(q, dq, command.kp, command.kd, tau)
         report["q_sent"] = command.q_des
-        report["kp_sent"] = kp
-        report["kd_sent"] = kd
+        report["kp_sent"] = command.kp
+        report["kd_sent"] = command.kd
 
-    def _followed(self, command: JointCommand, kp: FloatArray, kd: FloatArray) -> tuple[FloatArray, ...]:
+    def _followed(self, command: JointCommand) -> tuple[FloatArray, ...]:
         """Return desired angles, velocities and torques (12,) that the board follows as the command means it."""
         return command.q_des, command.dq_des, command.tau_ff
 

@@ -215,17 +215,15 @@ class Sender:
             wake: Descriptor; also return when something is to be read from it.
         """
         try:
-            report = self._cycle(until, wake)
+            return self._cycle(until, wake)
         except Exception as reason:
             self.fail(reason)
             return None
-        return report
 
     def _cycle(self, until: float, wake: int | None) -> Any:
         driver = self.driver
         self._send(driver.now())
-        every = self._pause if driver.repeats else REPORT_PERIOD
-        report_at = self._reported + every
+        report_at = self._reported + (self._pause if driver.repeats else REPORT_PERIOD)
         complete = driver.listen(min(until, self._due, report_at), wake)
         now = driver.now()
         if not complete and now < report_at - _MOMENT:
@@ -289,11 +287,8 @@ class Sender:
         if command.ramp <= 0.0 or begin is None:
             return command
         share = min(max(self._slot_end(now) / command.ramp, 0.0), 1.0)
-        on_the_way: dict[str, Any] = {}
-        for name in ("q_des", "dq_des", "tau_ff"):
-            old = getattr(begin, name)
-            on_the_way[name] = old + share * (getattr(command, name) - old)
-        return replace(command, **on_the_way)
+        numbers = "q_des", "dq_des", "tau_ff"
+        return replace(command, **{n: (1.0 - share) * getattr(begin, n) + share * getattr(command, n) for n in numbers})
 
     def _due_late(self, due: float) -> float:
         """Return when a motor that keeps its command needs another part, once all parts of the order are out [s]."""

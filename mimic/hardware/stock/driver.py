@@ -219,14 +219,14 @@ class StockDriver(BoardDriver):
 
     # ------------------------------------------------------------------ messages
 
-    def _followed(self, command: JointCommand, kp: FloatArray, kd: FloatArray) -> tuple[FloatArray, ...]:
+    def _followed(self, command: JointCommand) -> tuple[FloatArray, ...]:
         q = self.report["q"]
         target = command.q_des
         room = self._room
         near = np.where(np.isfinite(q), np.clip(target, q - room, q + room), target)
-        rest = kp * (target - near)
-        by_velocity = kd >= _SMALL_KD
-        dq_des = command.dq_des + np.where(by_velocity, rest / np.maximum(kd, _SMALL_KD), 0.0)
+        rest = command.kp * (target - near)
+        by_velocity = command.kd >= _SMALL_KD
+        dq_des = command.dq_des + np.where(by_velocity, rest / np.maximum(command.kd, _SMALL_KD), 0.0)
         return near, dq_des, command.tau_ff + np.where(by_velocity, 0.0, rest)
 
     def _send(self, q: FloatArray, dq: FloatArray, kp: FloatArray, kd: FloatArray, tau: FloatArray) -> None:

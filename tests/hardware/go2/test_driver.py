@@ -343,6 +343,17 @@ def test_a_robot_that_no_message_reaches_is_damped_for_half_a_minute_and_said_to
     assert len(one.bus.sent) > 14_000
 
 
+def test_a_robot_that_holds_still_because_no_command_reaches_it_is_not_said_to_be_damped():
+    bus, plant = made()
+    plant.start()
+    for _ in range(100):
+        plant.step(hold(D.poses["four"]))
+    bus.board.take = lambda channel, data, t: None
+    plant.close()
+    assert bus.board.driven()
+    assert plant.ending == UNREACHED
+
+
 def test_numbers_that_are_not_finite_and_damaged_messages_are_left_out():
     one = driver()
     with pytest.raises(FrameError, match="not finite"):

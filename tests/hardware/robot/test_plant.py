@@ -561,6 +561,41 @@ def test_what_damps_is_not_driven_by_any_later_command(standing_up, description)
     assert plant.ending == "the robot was damped and all motors are off"
 
 
+def test_a_bus_that_changes_commands_while_it_damps_switches_the_motors_off(standing_up, description):
+    robot, plant = standing_up
+    link, draws = plant.link.driver.motor_bus.link, np.random.default_rng(3)
+    send = link.send
+
+    def change(bus: int, frame) -> None:
+        data = bytearray(frame.data)
+        if draws.random() < 0.3:
+            data[draws.integers(8)] = draws.integers(256)
+        send(bus, replace(frame, data=bytes(data)))
+
+    link.send = change
+    begin = robot.now
+    assert damps(plant, description, 2.0) - begin < 0.35
+    assert modes(robot) == {MotorMode.OFF}
+    plant.close()
+    assert plant.ending == "the robot was damped and all motors are off"
+
+
+def test_a_motor_that_drives_itself_is_switched_off_while_the_others_damp(standing_up, description):
+    robot, plant = standing_up
+    robot.inject(parse_fault(f"motor_runaway:RL_hip=8@{robot.now}"))
+    damps(plant, description, 0.4)
+    off = [name for name, motor in zip(JOINTS, robot.motors, strict=True) if motor.mode is MotorMode.OFF]
+    assert off == ["RL_hip"]
+    plant.close()
+
+
+def test_damping_alone_switches_no_motor_off(standing_up, description):
+    robot, plant = standing_up
+    damps(plant, description, 0.5)
+    assert modes(robot) == {MotorMode.RUNNING}
+    plant.close()
+
+
 def test_a_robot_that_is_damped_goes_on_saying_how_it_moves(standing_up, description):
     _, plant = standing_up
     seen = []
