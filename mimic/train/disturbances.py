@@ -17,7 +17,7 @@ from mimic.train.tensors import Chance, put
 QUIET_PUSH = 0.25
 """Factor on the pushes of quiet worlds …"""
 
-HARD_PUSH = 0.5
+HARD_PUSH = 0.25
 """… but for this share of them, which are as hard as anywhere: a robot at rest has to catch itself, too."""
 
 QUIET_TILT = 2.0

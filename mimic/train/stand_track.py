@@ -69,9 +69,6 @@ GRACE_STEPS = 30
 """Control steps in which a rising robot may touch the ground, but not lift a hind toe high or move a joint fast; as in
 the paper, whose limits are 0.06 m and 0.3 rad (the description's are lower)."""
 
-PULL_ERROR = 1.0
-"""Largest error along each axis of what is felt of a pull on a toe, for an episode [N]: payloads, friction."""
-
 CAPTURE_REACH = 0.05
 """How far a capture point that has left the feet is before or behind the line between them [m]."""
 
@@ -208,7 +205,6 @@ class StandTrackEnv(VecEnv, Chance):
         self._reward = zeros()
         self._load = zeros(2)
         self._felt = zeros(2, 3)
-        self._felt_error = zeros(2, 3)
         self._done = zeros(dtype=torch.bool)
         self._time_out = zeros(dtype=torch.bool)
         self._mean_velocity = zeros(2)
@@ -352,7 +348,7 @@ class StandTrackEnv(VecEnv, Chance):
         moment = torch.linalg.cross(toes - w.xipos[:, self._front_knees], force)
         w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
         share = self.contract.dt / (SMOOTHING + self.contract.dt)
-        self._felt.add_(share * (force + self._felt_error - self._felt))
+        self._felt.add_(share * (force - self._felt))
 
     def _measure(self) -> None:
         """Work out, once for each state, what many look at.
@@ -651,7 +647,6 @@ class StandTrackEnv(VecEnv, Chance):
         put(self.phase_at_start, mask, self._first_phase(start))
         self.disturbances.reset(mask)
         put(self._q_before, mask, start.qpos[:, 7:])
-        put(self._felt_error, mask, self._uniform(-PULL_ERROR, PULL_ERROR, 2, 3))
         self.episode_length_buf.mul_(~mask)
         self.moves.reset(mask, start.heading)
         self.arms.reset(mask, start.upright, w.qpos[:, 7:])
