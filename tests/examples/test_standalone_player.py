@@ -73,9 +73,8 @@ def test_it_plays_as_mimic_does(player, policy, description):
     lying = np.r_[0.0, 0.0, description.pose_height["lie"] + 0.005, 1.0, 0.0, 0.0, 0.0, description.poses["lie"]]
     plant.start = lambda: plant.start_at(lying, np.zeros(18))  # the player begins in the crouch
     safety = Safety(supervisor=Supervisor(description, sits=False), ramp=0.0, damp_at_end=False)
-    log = run_policy(
-        plant, load_policy(policy, description), track, RunSettings(hold_last=0.0, hold_position=False), safety=safety
-    ).log
+    settings = RunSettings(hold_last=0.0, hold_position=False, lean_against_pulls=False)
+    log = run_policy(plant, load_policy(policy, description), track, settings, safety=safety).log
     assert len(q) == len(log.t)
     for ours, theirs in ((log.q, q), (log.quat_WB, quat), (log.q_des, q_des)):
         assert np.abs(ours - theirs).max() < 1e-5
