@@ -247,7 +247,8 @@ class CanDriver:
         _, dq, tau = self.motor_bus.readings(self._damped)
         d = self._description
         most = d.kd_max * np.fmax(np.abs(dq), np.abs(self._dq)) + BEYOND_BRAKE * d.torque_max
-        self._driven += (np.abs(tau) > most) & (now > self._heeds)
+        answered = ~np.isnan(self._dq)  # the damping before, too: the first answer after a gap is to an older command
+        self._driven += (np.abs(tau) > most) & answered & (now > self._heeds)
         self._dq = dq
 
     def _open_again(self, joints: Sequence[int], now: float) -> None:
