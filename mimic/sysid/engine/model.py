@@ -139,8 +139,11 @@ class Passes:
             arrays, numbers, corrections = lacking[key]
             return predict(arrays, numbers, corrections, DECAY, step, follow)
 
-        with ThreadPoolExecutor(self.threads) as pool:
-            new = dict(zip(lacking, pool.map(one, lacking), strict=True))
+        if min(self.threads, len(lacking)) < 2:
+            new = {key: one(key) for key in lacking}
+        else:
+            with ThreadPoolExecutor(self.threads) as pool:
+                new = dict(zip(lacking, pool.map(one, lacking), strict=True))
         self._known.update(new)
         kept = max(int(MEMORY / (24.0 * self.data.record.y.size)), 1) * len(self._chains)
         while len(self._known) > kept:
