@@ -49,14 +49,7 @@ def sent_at(model: Model, times: SendingTimes) -> Model:
 
 
 def arrived(model: Model, names: Sequence[str], repeats: float, price: float) -> Iterator[Model]:
-    """Yield models with targets that arrived otherwise, where each number gains its price in independent readings.
-
-    Args:
-        model: Fitted.
-        names: What is looked for, of `ARRIVALS`.
-        repeats: How often errors repeat themselves.
-        price: Of a number [nats].
-    """
+    """Yield models in which targets arrived otherwise: each number gains its price [nats], errors' repeats counted."""
     if names and model.data.log.q_des is not None and len(model.data.times.at) > 1:
         felt = _felt(model)
         for name in names:
@@ -94,10 +87,12 @@ def _late(model: Model, felt: Felt, repeats: float, price: float) -> Model:
             return start  # delays pull no more than errors do that repeat themselves
         hessian = (moved.T @ moved).tocsc()
         descent = hessian @ by - pull
-        if max(_evidence(hessian / repeats, descent / repeats, size) for size in DEVIATIONS) < price:
+        if max(_evidence(hessian / repeats, descent / repeats, size)[0] for size in DEVIATIONS) < price:
             return start
-        _, deviation = max((_evidence(hessian, descent, size), size) for size in DEVIATIONS)
-        by, told = _likeliest(hessian, descent, deviation)
+        _, deviation = max((_evidence(hessian, descent, size)[0], size) for size in DEVIATIONS)
+        less, more = (_evidence(share * hessian, 0.0 * descent, deviation)[0] for share in (0.99, 1.01))
+        told = 100.0 * (less - more)  # how many delays readings determine
+        by = _evidence(hessian, descent, deviation)[1]
         model = sent_at(model, times.late(by, deviation * np.sqrt(12.0), told)).fitted(1)
     return model
 
@@ -106,31 +101,17 @@ ARRIVALS = {"lost_commands": _without_lost, "delay_jitter": _late}
 """What is looked for in single targets."""
 
 
-def _beside(hessian: Any, deviation: float, share: float = 1.0) -> Any:
-    """Return the factors of a Hessian of delays (K, K) drawn with a deviation."""
-    of_prior = sparse.eye_array(hessian.shape[0], format="csc") / deviation**2
-    return splu(share * hessian + of_prior, permc_spec="NATURAL")
-
-
-def _volume(made: Any, deviation: float) -> float:
-    return float(np.log(deviation**2 * np.abs(made.U.diagonal())).sum())
-
-
-def _evidence(hessian: Any, descent: FloatArray, deviation: float) -> float:
-    """Return the log evidence of a deviation over none [nats]."""
-    made = _beside(hessian, deviation)
-    return float(0.5 * descent @ made.solve(descent)) - 0.5 * _volume(made, deviation)
-
-
-def _likeliest(hessian: Any, descent: FloatArray, deviation: float) -> tuple[FloatArray, float]:
-    """Return the likeliest delays (K,), and how many of them readings determine."""
-    more, less = (_volume(_beside(hessian, deviation, share), deviation) for share in (1.01, 0.99))
-    return _beside(hessian, deviation).solve(descent), (more - less) / 0.02
+def _evidence(hessian: Any, descent: FloatArray, deviation: float) -> tuple[float, FloatArray]:
+    """Return the log evidence of a deviation over none [nats], and the likeliest delays (K,)."""
+    of_prior = sparse.eye_array(len(descent), format="csc") / deviation**2
+    made = splu(hessian + of_prior, permc_spec="NATURAL")
+    by = made.solve(descent)
+    return float(0.5 * descent @ by - 0.5 * np.log(deviation**2 * np.abs(made.U.diagonal())).sum()), by
 
 
 def _apart(at: FloatArray) -> Iterator[IntArray]:
     """Yield targets sent at times (K,) that may be tried together, but for the first."""
-    apart = int(np.ceil(HEARD / float(np.median(np.diff(at))))) if len(at) > 1 else 1
+    apart = int(np.ceil(HEARD / float(np.median(np.diff(at)))))
     for first in range(1, min(apart + 1, len(at))):
         yield np.arange(first, len(at), apart)
 
