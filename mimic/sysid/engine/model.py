@@ -104,12 +104,12 @@ class Passes:
         self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP, follow: bool = False
     ) -> list[FloatArray]:
         """Return errors (T, J) of some tables of numbers."""
-        return [self.data.record.y - made[0] for made in self.whole(points, gains, step, follow)]
+        return [self.data.record.y - made[0] for made in self.whole(points, gains, step, follow, 1)]
 
     def whole(
-        self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP, follow: bool = False
+        self, points: Sequence[FloatArray], gains: FloatArray, step: float = STEP, follow: bool = False, kept: int = 3
     ) -> list[FloatArray]:
-        """Return predicted readings, unknown torques and torques of the motors (3, T, J) of each."""
+        """Return predicted readings, unknown torques and torques of the motors (3, T, J) of each, or the first kept."""
         shared = any((table[DROP] != 0.0).any() for table in points)  # motors that draw from one supply
         parts = self._whole if shared else self._chains
         lacking: dict[bytes, tuple[Arrays, FloatArray, FloatArray]] = {}
@@ -119,31 +119,34 @@ class Passes:
             for own, arrays in parts:
                 numbers = np.ascontiguousarray(table[:, own])
                 corrections = np.ascontiguousarray(gains[..., own, :])
-                key = b"".join((repr((own, step, follow)).encode(), numbers.tobytes(), corrections.tobytes()))
+                key = b"".join((repr((own, step, follow, kept)).encode(), numbers.tobytes(), corrections.tobytes()))
                 wanted[-1].append(key)
                 if key in self._known:
                     self._known.move_to_end(key)
                 else:
                     lacking[key] = arrays, numbers, corrections
         found = {key: self._known[key] for keys in wanted for key in keys if key in self._known}
-        found |= self._made(lacking, step, follow)
+        found |= self._made(lacking, step, follow, kept)
         self._counted[0] += len(lacking) / len(parts)
         return [np.concatenate(list(map(found.__getitem__, keys)), axis=-1) for keys in wanted]
 
     def _made(
-        self, lacking: Mapping[bytes, tuple[Arrays, FloatArray, FloatArray]], step: float, follow: bool
+        self, lacking: Mapping[bytes, tuple[Arrays, FloatArray, FloatArray]], step: float, follow: bool, kept: int
     ) -> dict[bytes, FloatArray]:
         """Run passes, and keep the last of them."""
 
         def one(key: bytes) -> FloatArray:
             arrays, numbers, corrections = lacking[key]
-            return predict(arrays, numbers, corrections, DECAY, step, follow)
+            return predict(arrays, numbers, corrections, DECAY, step, follow)[:kept].copy()
 
-        with ThreadPoolExecutor(self.threads) as pool:
-            new = dict(zip(lacking, pool.map(one, lacking), strict=True))
+        if min(self.threads, len(lacking)) < 2:
+            new = {key: one(key) for key in lacking}
+        else:
+            with ThreadPoolExecutor(self.threads) as pool:
+                new = dict(zip(lacking, pool.map(one, lacking), strict=True))
         self._known.update(new)
-        kept = max(int(MEMORY / (24.0 * self.data.record.y.size)), 1) * len(self._chains)
-        while len(self._known) > kept:
+        most = max(int(MEMORY / (8.0 * self.data.record.y.size)), 1) * len(self._chains)
+        while len(self._known) > most:
             self._known.popitem(last=False)
         return new
 

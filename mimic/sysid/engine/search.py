@@ -15,7 +15,7 @@ import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE, MODEL
 from mimic.records import FloatArray, IntArray
-from mimic.sysid.engine.arrivals import ARRIVALS, sent_at
+from mimic.sysid.engine.arrivals import arrived, sent_at
 from mimic.sysid.engine.data import Data
 from mimic.sysid.engine.effects import SURE
 from mimic.sysid.engine.laws import ROW
@@ -79,7 +79,7 @@ class Hunt:
     most: int = STAGES
     """Most effects that are named."""
     arrivals: Sequence[str] = ()
-    """Those on single targets, of `ARRIVALS`."""
+    """Those on single targets, of `arrivals.ARRIVALS`."""
     say: Callable[[str], None] = print
     tried: dict[Parts, dict[str, Candidate]] = field(default_factory=dict)
     """Beside which effects each was tried in its best joints, fitted where one was."""
@@ -434,8 +434,8 @@ def _arrived(best: Scored, hunt: Hunt) -> Scored:
     """Return a model with targets that arrived otherwise, if it is better and worth a name: of each number, its price
     in readings as independent as the better model says.
     """
-    made = [ARRIVALS[name](best.model, best.repeats * PRICE) for name in hunt.arrivals]
-    first, *_ = ranked([best, *(scored(one.settled()) for one in made if one is not best.model)])
+    made = arrived(best.model, hunt.arrivals, best.repeats, PRICE)
+    first, *_ = ranked([best, *(scored(one.settled()) for one in made)])
     return first if first is best or material(first, best) else best
 
 
