@@ -125,7 +125,8 @@ def run_policy(
     error: Exception | None = None
     try:
         with safety.signals.interrupts_counted() if counted else nullcontext():
-            pilot = Pilot(run, lean_against_pulls=settings.lean_against_pulls)
+            leans = settings.lean_against_pulls and safety.supervisor.moves  # motors that are off show a pull
+            pilot = Pilot(run, lean_against_pulls=leans)
             error = _play(pilot, policy, motion, sit_down, sit_ticks, position)
     finally:
         plant.close()

@@ -122,7 +122,8 @@ class Pilot:
             ramp=contract.dt if contract.interpolate else 0.0,
         )
         command = self._trunk.added(command)
-        clamped = asked.clamped + int(np.count_nonzero(np.abs(own) > contract.action_clip))
+        beyond = int(np.count_nonzero(np.abs(own) > contract.action_clip))
+        clamped = asked.clamped + beyond * self.run.safety.supervisor.moves  # of a robot that stays it says nothing
         wanted = {"v_des": asked.command.v, "heading_des": asked.command.heading, "p_BE_des": asked.command.p_BE}
         wanted["trunk_des"] = np.array(self._trunk.now)
         seen = np.full(self.run.width, np.nan)

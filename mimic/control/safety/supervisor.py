@@ -71,6 +71,8 @@ class Supervisor:
         self._limits = limits
         self._rules = rules
         self._sits = sits
+        self.moves = moves
+        """Whether the motors follow their targets."""
         self._history = StepHistory(description, limits, moves=moves)
         self._keeps_history = any(rule.reads_history for rule in rules)
         self._seen: set[tuple[str, str, int]] = set()
