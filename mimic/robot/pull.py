@@ -119,7 +119,8 @@ class PullEstimator:
         needed = self._torques.of(state.q[:FRONT], dq, ddq, state.quat_WB)
         motion = np.abs(needed - self._at_rest(state))
         share = self._dt / (SMOOTHING + self._dt)
-        self._excess += share * (needed - state.tau[:FRONT] - self._excess)
+        excess = needed - state.tau[:FRONT]
+        self._excess += share * np.nan_to_num(excess - self._excess)  # without an answer it stays as it was
         self._motion += share * (motion - self._motion)
         return self._forces(state, self._excess, self._motion)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -127,6 +129,18 @@ def test_training_shows_the_same(description):
     angle = np.linalg.norm(rotation[0])
     quat0 = np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * rotation[0] / angle])
     assert multiply_quats(quat0, UPRIGHT) == pytest.approx(ours[0])
+
+
+def test_a_motor_that_misses_an_answer_changes_nothing(description):
+    still = np.zeros(12)
+    state = moving(description, still, still, np.full(6, 1.0), description.poses["upright"], 0.0)
+    deaf = dataclasses.replace(state, tau=np.where(np.arange(12) == 1, np.nan, state.tau))
+    estimator = PullEstimator(description)
+    for _ in range(round(2.0 / description.dt)):
+        felt = estimator.smoothed(state)
+    missed = estimator.smoothed(deaf)
+    assert missed == pytest.approx(felt, abs=0.01)
+    assert np.isfinite(estimator.smoothed(state)).all()
 
 
 def test_at_first_nothing_counts(description):
