@@ -76,7 +76,7 @@ def test_who_falls_counts_against_standing_and_in_no_mean():
 
 @pytest.fixture(scope="module")
 def evaluated():
-    few = CalmSettings(episodes=1, seconds=5.0, pushes=(0.3,), pulls=(3.0,), pushed_episodes=1, workers=1)
+    few = CalmSettings(episodes=1, seconds=9.0, pushes=(0.3,), pulls=(3.0,), pushed_episodes=1, workers=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(calm, "PUSH_WAYS", ("sideways",))
         patch.setattr(calm, "PULL_WAYS", ("backward",))
