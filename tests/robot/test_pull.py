@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-import torch
 
 from mimic.geometry import heading_from_quat, multiply_quats, rotation_from_quat, turned_by
 from mimic.records import RobotState
@@ -114,7 +113,9 @@ def test_small_pulls_do_not_count_and_large_ones_are_limited(description):
     assert abs(turn(description, pulled(5.0 * w, np.pi / 2))[2]) == pytest.approx(MOST_TURN)
 
 
+@pytest.mark.train
 def test_training_shows_the_same(description):
+    torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
     rng = np.random.default_rng(0)
     force = rng.normal(size=(50, 2, 3)) * 5.0
     toes = TOES + 0.05 * rng.normal(size=(50, 2, 3))
