@@ -35,12 +35,10 @@ UNSTEADY = (0.145, 0.075)
 phantoms (a foot in a pool, a fist before a face, dances of several people) at least 0.17 and 0.09."""
 ACROSS = 0.6
 """Least part of the trunk that points up in the picture: 0.84 of people who stand or sit, 0.55 turned by 90 degrees."""
-FLAT_FACE = 2.15
-"""Usual distance of the ears over that of eyes and mouth in the picture: of people at most 1.9, of three of them in
-half the height 2.5 to 2.9."""
-NARROW = 0.86
-"""Usual width over height of the upper body in the picture, as a share of the same in the landmarks: at least 0.87 of
-people, 0.84, 0.85 and 0.91 of three of them in half the width."""
+FRONT = 1.85
+"""Distance of the ears over that of eyes and mouth of a face from the front; of nose and ears from the side it is 1."""
+SQUEEZED = (0.81, 1.35)
+"""Least and most width over height of a person in the picture, as a share of people's."""
 BENT = 45.0
 """Bend of the hips in the picture beyond which a person does not stand, in a fifth of the rows [deg]: of people who
 stand at most 34, who squat, sit or lie at least 53."""
@@ -51,8 +49,8 @@ _TRUNK = SHOULDERS + HIPS
 _EARS = landmarks_of("ear")
 _EYES = landmarks_of("eye")
 _MOUTH = [LANDMARKS.index("mouth_left"), LANDMARKS.index("mouth_right")]
-_SQUEEZED = "than people are; if the picture is squeezed, restore its width and height"
-_UPPER = [*SHOULDERS, *ELBOWS, *WRISTS, *HIPS, LANDMARKS.index("nose")]
+_NOSE = LANDMARKS.index("nose")
+_UPPER = [*SHOULDERS, *ELBOWS, *WRISTS, *HIPS, _NOSE]
 _BONES = np.array([(11, 12), (11, 13), (12, 14), (13, 15), (14, 16)])
 """Shoulder line, upper arms and forearms in LANDMARKS."""
 
@@ -152,27 +150,42 @@ def posture(track: PoseTrack) -> str:
             "the trunk lies across the picture; if the video is turned by 90°, rotate it; if the person leans or lies, "
             "the robot does not"
         )
-    wide = np.linalg.norm(pixels[:, _EARS[0]] - pixels[:, _EARS[1]], axis=-1)
-    high = np.linalg.norm(pixels[:, _EYES].mean(axis=1) - pixels[:, _MOUTH].mean(axis=1), axis=-1)
-    behind = np.median(pixels[:, SHOULDERS[0], 0] - pixels[:, SHOULDERS[1], 0]) < 0
-    if not behind and np.median(wide / np.maximum(high, 1.0)) > FLAT_FACE:
-        return f"the person is wider {_SQUEEZED}"
+    shape = _width_over_height(track, rows)
+    squeezed = "than people are; if the picture is squeezed, restore its width and height"
+    if shape > SQUEEZED[1]:
+        return f"the person is wider {squeezed}"
     lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
     if np.quantile(lean, 0.8) > LEANT or _hips_bent(track) > BENT:
         return (
             "the person bends, sits, squats or leans: the robot follows how height and lean change, as far as it can, "
             "and not the posture"
         )
-    drawn = pixels[:, _UPPER]
-    metres = track.landmarks[rows][:, _UPPER, :2]
-    metres, drawn = (points - points.mean(axis=1, keepdims=True) for points in (metres, drawn))
+    return f"the person is narrower {squeezed}" if shape < SQUEEZED[0] else ""
+
+
+def _width_over_height(track: PoseTrack, rows: BoolArray) -> float:
+    """Return the usual width over height of a person as a share of people's; 1 from behind.
+
+    It is that of the face, which tells by nose and ears how far it is turned, times that of the upper body, whose shape
+    the landmarks tell.
+    """
+    pixels = in_pixels(track)[rows]
+    if np.median(pixels[:, SHOULDERS[0], 0] - pixels[:, SHOULDERS[1], 0]) < 0:
+        return 1.0
+    down = pixels[:, _MOUTH].mean(axis=1) - pixels[:, _EYES].mean(axis=1)
+    across = down[:, ::-1] * (-1, 1) / np.maximum((down**2).sum(axis=-1, keepdims=True), 1.0)
+    ears = ((pixels[:, _EARS[0]] - pixels[:, _EARS[1]]) * across).sum(axis=-1)
+    nose = ((pixels[:, _NOSE] - pixels[:, _EARS].mean(axis=1)) * across).sum(axis=-1)
+    face = np.hypot(ears / FRONT, nose)
+    upper = (track.landmarks[rows][:, _UPPER, :2], pixels[:, _UPPER])
+    metres, drawn = (points - points.mean(axis=1, keepdims=True) for points in upper)
     slopes = (metres * drawn).sum(axis=1) / (metres**2).sum(axis=1)
-    return f"the person is narrower {_SQUEEZED}" if np.median(slopes[:, 0] / slopes[:, 1]) < NARROW else ""
+    return float(np.median(face) * np.median(slopes[:, 0] / slopes[:, 1]))
 
 
 def _hips_bent(track: PoseTrack) -> float:
-    """Return the bend of the straighter hip that a fifth of the rows exceeds [deg]; 0 where no knees are seen."""
-    rows = track.valid[:, _TRUNK + KNEES].all(axis=1)
+    """Return the bend of the straighter hip that a fifth of the rows exceeds [deg]; 0 where no knee is seen."""
+    rows = track.valid[:, _TRUNK].all(axis=1) & track.valid[:, KNEES].any(axis=1)
     if not rows.any():
         return 0.0
     shoulders, hips, knees = (track.landmarks[rows][:, limb] for limb in (SHOULDERS, HIPS, KNEES))

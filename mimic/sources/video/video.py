@@ -27,7 +27,7 @@ from mimic.sources.video.shots import clothes_colour, describe, find_changes, is
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 17
+ALGORITHM = 18
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MAX_SWAP_SHARE = 0.05

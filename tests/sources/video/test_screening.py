@@ -91,10 +91,20 @@ def test_a_person_on_their_head_lying_or_squeezed_is_noticed():
     assert "wider" in posture(replace(track, size=(SIZE[0] * 2, SIZE[1])))
 
 
+def test_a_narrow_face_that_is_turned_is_no_squeezed_picture():
+    track = standing()
+    ears = [LANDMARKS.index(f"{side}_ear") for side in ("left", "right")]
+    turned = track.image.copy()
+    turned[:, ears, 0] = 0.5 - 85 / SIZE[0] * 0.3
+    assert posture(replace(track, image=turned)) == ""
+    assert "narrower" in posture(replace(track, image=turned, size=(SIZE[0] // 2, SIZE[1])))
+
+
 def test_a_face_tells_nothing_from_behind():
     track = standing()
     behind = replace(track, image=track.image * (-1, 1) + (1, 0), landmarks=track.landmarks * (-1, 1, 1))
-    assert "wider" not in posture(replace(behind, size=(SIZE[0] * 2, SIZE[1])))
+    for wide in (2, 0.5):
+        assert posture(replace(behind, size=(round(SIZE[0] * wide), SIZE[1]))) == ""
 
 
 def test_who_sits_or_leans_is_told_that_the_robot_does_not():
@@ -103,6 +113,9 @@ def test_who_sits_or_leans_is_told_that_the_robot_does_not():
     seated = track.landmarks.copy()
     seated[:, knees] = seated[:, knees] * (1, 0, 1) + (0, 0.05, -0.4)
     assert "sits" in posture(replace(track, landmarks=seated))
+    from_the_side = track.valid.copy()
+    from_the_side[:, knees[1]] = False
+    assert "sits" in posture(replace(track, landmarks=seated, valid=from_the_side))
     seated[:, knees[0]] = track.landmarks[:, knees[0]]  # one leg is lifted
     assert posture(replace(track, landmarks=seated)) == ""
     shear = np.array([[1.0, 0.0], [-0.9, 1.0]])
