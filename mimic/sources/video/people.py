@@ -356,6 +356,6 @@ def describe(looks: Collection[tuple[float, list[Person]]], choice: Choice | Non
     several = [(t, len(people)) for t, people in looks if len(people) > 1]
     if len(several) < MIN_LOOKS or len(several) < MIN_SHARE * len(looks):
         return []
-    most = max(count for _, count in several)
+    most = sorted(count for _, count in several)[-MIN_LOOKS]
     who = f"the detector follows one of them: {hint}" if choice is None else f"--person {choice} is followed"
     return [f"up to {most} people are in view between {several[0][0]:.0f} and {several[-1][0]:.0f} s; {who}"]

@@ -64,6 +64,8 @@ def test_several_people_are_said_with_the_times_and_who_is_followed():
     (said,) = describe(looks, "left")
     assert said.endswith("--person left is followed")
     assert describe(looks[:2], None) == []  # once may be an error
+    (said,) = describe([(0.0, [*two, person(0.5)]), *looks], None)
+    assert said.startswith("up to 2 people")
     assert describe([(1.5 * i, one) for i in range(5)], None) == []
 
 
