@@ -84,7 +84,12 @@ STEPS = (
     Step(heading, ("WIDTH", "SHARE"), (WIDTHS, SHARES), _heading),
     Step(depth, ("UPPER_LENGTH", "FORE_LENGTH"), ((0.94, 1.02, 1.10), (1.02, 1.10, 1.18)), _left),
     Step(depth, ("MEAN_SHARE",), (tuple(np.linspace(0.0, 1.0, 11).round(1)),), _left),
-    Step(depth, ("SURE_SHARE", "UNKNOWN"), (SHARES, (0.04, 0.06, 0.07, 0.08, 0.09, 0.10)), _declared),
+    Step(
+        depth,
+        ("SURE_SHARE", "UNKNOWN", "TURNED"),
+        ((0.0, 0.25, 0.5), (0.03, 0.04, 0.05, 0.06, 0.08), (0.0, 0.06, 0.09, 0.12)),
+        _declared,
+    ),
 )
 _known: dict[tuple[object, ...], float] = {}
 

@@ -46,8 +46,10 @@ SOLID_QUANTILE = 0.90
 """Quantile that counts as the longest by the detector."""
 SURE_SHARE = 0.5
 """Share of the network's own doubt in the declared spread; chosen as MEAN_SHARE is (lab/people/left_out.py)."""
-UNKNOWN = 0.08
-"""What no picture tells, in quadrature with it [m]; chosen likewise."""
+UNKNOWN = 0.04
+"""What no picture tells of a person from the front, in quadrature with it [m]; chosen likewise."""
+TURNED = 0.12
+"""What turning away adds to that, times the sine of half the angle [m]; chosen likewise."""
 MEAN_SHARE = 0.8
 """Share of the network in the average depth of an arm; the rest is the detector's (lab/people/left_out.py)."""
 SLOW_S = 0.5
@@ -125,7 +127,8 @@ def _found(seen: Seen) -> FloatArray:
     """Return the depth of elbow and wrist of both arms, and the spread of the latter (T, 2, 3) [m]."""
     depth, sure = _answer(seen.features())
     unlike = gaussian_filter1d(seen.detected() - depth, MEAN_S * RATE_HZ, axis=1, mode="nearest")
-    spread = np.hypot(SURE_SHARE * sure, UNKNOWN)
+    away = np.abs(np.sin(np.arctan2(seen.line[:, 2:], seen.line[:, :1]) / 2))
+    spread = np.hypot(SURE_SHARE * sure, UNKNOWN + TURNED * away)
     return np.moveaxis(np.concatenate([depth + (1.0 - MEAN_SHARE) * unlike, spread], axis=2), 0, 1)
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 
 from mimic.records import LANDMARKS, PoseTrack
-from mimic.sources.video.depth import LiveDepth, placed, with_depth
+from mimic.sources.video.depth import UNKNOWN, LiveDepth, placed, with_depth
 from mimic.sources.video.left_right import other_side
 
 SIZE = (640, 480)
@@ -157,7 +157,7 @@ def test_the_average_depth_follows_the_detector_in_part():
 def test_what_no_picture_tells_is_part_of_every_spread():
     t, points, image = someone(4.0)
     _, spread = estimated(t, points, image)
-    assert (spread > 0.08).all()
+    assert (spread > UNKNOWN).all()
 
 
 def test_a_shot_does_not_know_of_the_next():
@@ -194,3 +194,11 @@ def test_two_frames_of_a_camera_at_the_same_time_do_no_harm():
     live = LiveDepth()
     rows = [estimated_live(live, t[k // 2], landmarks[k], image[k]) for k in range(30)]
     assert all(np.isfinite(arms).all() and np.isfinite(spread).all() for arms, spread in rows)
+
+
+def test_the_arms_of_who_is_turned_away_are_less_sure():
+    spreads = []
+    for behind in (False, True):
+        t, landmarks, image = someone(behind=behind)
+        spreads.append(estimated(t, landmarks, image)[1])
+    assert spreads[1].mean() > 1.5 * spreads[0].mean()
