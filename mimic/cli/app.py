@@ -9,10 +9,16 @@ import sys
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_origin
 
 from cyclopts import App, Parameter
-from cyclopts.exceptions import CycloptsError, UnknownOptionError, UnusedCliTokensError
+from cyclopts.exceptions import (
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
 
 from mimic.cli.terminal.exit_status import DONE, STOPPED, USER_ERROR
 from mimic.errors import ConfigError, MimicError
@@ -298,13 +304,24 @@ def run(arguments: list[str]) -> int:
 
 
 def _explained(error: CycloptsError) -> object:
-    """Return an error of the parser; for an option that is a setting, how to set it."""
+    """Return an error of the parser in mimic's words; for an option that is a setting, how to set it."""
     if isinstance(error, UnusedCliTokensError):
         return f"{shlex.join(error.unused_tokens or ())} is one argument too many; see --help"
     if isinstance(error, UnknownOptionError):
         from mimic.cli.settings_file import where_to_set
 
-        return where_to_set(error) or error
+        option = error.token.keyword or error.token.value
+        close = get_close_matches(option, ["--help", "--version"], n=1, cutoff=0.8)
+        return f"Unknown option: {option}. Did you mean {close[0]}?" if close else where_to_set(error) or error
+    if isinstance(error, MissingArgumentError) and error.argument and error.app:
+        examples = [line.strip().partition("  ")[0] for line in str(error.app.help_epilogue).splitlines()[1:]]
+        fitting = [example for example in examples if f"{error.argument.name} " in example]
+        lacking = f"{error.keyword} needs a value" if error.keyword else f"{error.argument.name} is missing"
+        return f"{lacking}; for example: {(fitting or examples)[0]}"
+    if isinstance(error, CoercionError) and error.token and get_origin(error.target_type) is not Literal:
+        from mimic.config.values import expected
+
+        return f"{error.token.keyword} is {error.token.value}; expected {expected(error.target_type)}"
     return error
 
 
@@ -355,4 +372,6 @@ def _check_command(arguments: list[str]) -> None:
         return
     close = get_close_matches(word, names, n=1)
     hint = f"did you mean: mimic {close[0]}" if close else f"commands are {', '.join(names)}; a sentence follows --text"
+    if " " in word:
+        hint = f"to play a sentence: mimic --text {shlex.quote(word)} --sim"
     raise ConfigError(f"there is no command and no file {word!r}; {hint}")

@@ -102,6 +102,35 @@ def test_a_mistyped_command_is_no_file(capsys):
     assert capsys.readouterr().err == "mimic: there is no command and no file 'evalute'; did you mean: mimic evaluate\n"
 
 
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("view", "RUN is missing; for example: mimic view runs/video"),
+        ("export runs/x --fromat csv", "--out is missing; for example: mimic export runs/video -o dataset"),
+        (
+            "robot check go2 --interface",
+            "--interface needs a value; for example: mimic robot check cyberdog2 --interface",
+        ),
+        ("clip.mp4 --sim --rate ten", "--rate is ten; expected a number"),
+        ("clip.mp4 --sim --slow-down fast", '--slow-down is fast; expected a number or "auto"'),
+        ("export runs/x -o y --format csb", 'Invalid value "csb" for --format. Choose from: "lerobot", "csv"'),
+        ("--hlep", "Unknown option: --hlep. Did you mean --help?"),
+        ("clip.mp4 --versoin", "Unknown option: --versoin. Did you mean --version?"),
+        ("clip.mp4 --simm", "Unknown option: --simm. Did you mean --sim?"),
+    ],
+)
+def test_a_slip_of_the_command_line_is_one_line_with_what_to_type(line, said, capsys):
+    assert main(line.split()) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"mimic: {said}")
+    assert err.count("\n") == 1
+
+
+def test_a_sentence_without_its_option_is_answered_with_it(capsys):
+    assert main(["wave the left hand", "--sim"]) == 2
+    assert capsys.readouterr().err.endswith("to play a sentence: mimic --text 'wave the left hand' --sim\n")
+
+
 def test_several_names_follow_one_option(asked):
     main(["retarget", "motion.npz", "-o", "t.parquet", "--names", "left_wrist=LWRA", "right_wrist=RWRA", "--mirror"])
     settings = asked[0][0][2]
