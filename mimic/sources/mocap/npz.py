@@ -62,8 +62,7 @@ def _arrays(path: Path) -> dict[str, Any]:
     try:
         _check_size(path)
         with np.load(path, allow_pickle=False) as file:
-            found = {key: file[key] for key in file.files if key in _READ}
-            return found or dict.fromkeys(file.files)
+            return {key: file[key] if key in _READ else None for key in file.files}
     except _NONE:  # NumPy's own words advise to load pickles, which is not safe
         raise SourceError(
             f"{path.name} cannot be read as NPZ: it is no archive of plain arrays; write it with numpy.savez, without "
