@@ -33,8 +33,8 @@ MOST_JUMPS = 0.05
 UNSTEADY = (0.145, 0.075)
 """What `unsteadiness` of both kinds must exceed where no body is: of 25 clips of people at most 0.12 and 0.06, of five
 phantoms (a foot in a pool, a fist before a face, dances of several people) at least 0.17 and 0.09."""
-ACROSS = 0.6
-"""Least part of the trunk that points up in the picture: 0.84 of people who stand or sit, 0.55 turned by 90 degrees."""
+ACROSS = 53.0
+"""Usual lean of a trunk that lies across the picture [deg]: of who stands or sits at most 33, turned by 90° 57."""
 FRONT = 1.85
 """Distance of the ears over that of eyes and mouth of a face from the front; of nose and ears from the side it is 1."""
 SQUEEZED = (0.81, 1.35)
@@ -142,19 +142,19 @@ def posture(track: PoseTrack) -> str:
         return ""
     pixels = in_pixels(track)[rows]
     trunk = pixels[:, SHOULDERS].mean(axis=1) - pixels[:, HIPS].mean(axis=1)
-    up = np.median(-trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=-1), 1e-9))
-    if up < -ACROSS:
+    lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
+    usual = np.median(lean)
+    if usual > 180.0 - ACROSS:
         return "the shoulders are below the hips; if the video is upside down, rotate it"
-    if up < ACROSS:
+    if usual > ACROSS:
         return (
             "the trunk lies across the picture; if the video is turned by 90°, rotate it; if the person leans or lies, "
             "the robot does not"
         )
-    shape = _width_over_height(track, rows)
+    shape = _width_over_height(pixels, track.landmarks[rows])
     squeezed = "than people are; if the picture is squeezed, restore its width and height"
     if shape > SQUEEZED[1]:
         return f"the person is wider {squeezed}"
-    lean = np.degrees(np.arctan2(np.abs(trunk[:, 0]), -trunk[:, 1]))
     if np.quantile(lean, 0.8) > LEANT or _hips_bent(track) > BENT:
         return (
             "the person bends, sits, squats or leans: the robot follows how height and lean change, as far as it can, "
@@ -163,24 +163,26 @@ def posture(track: PoseTrack) -> str:
     return f"the person is narrower {squeezed}" if shape < SQUEEZED[0] else ""
 
 
-def _width_over_height(track: PoseTrack, rows: BoolArray) -> float:
+def _width_over_height(pixels: FloatArray, landmarks: FloatArray) -> float:
     """Return the usual width over height of a person as a share of people's; 1 from behind.
 
     It is that of the face, which tells by nose and ears how far it is turned, times that of the upper body, whose shape
     the landmarks tell.
+
+    Args:
+        pixels: Of a person in the picture (T, 33, 2) [px].
+        landmarks: Of the same (T, 33, 3) [m].
     """
-    pixels = in_pixels(track)[rows]
     if np.median(pixels[:, SHOULDERS[0], 0] - pixels[:, SHOULDERS[1], 0]) < 0:
         return 1.0
     down = pixels[:, _MOUTH].mean(axis=1) - pixels[:, _EYES].mean(axis=1)
     across = down[:, ::-1] * (-1, 1) / np.maximum((down**2).sum(axis=-1, keepdims=True), 1.0)
     ears = ((pixels[:, _EARS[0]] - pixels[:, _EARS[1]]) * across).sum(axis=-1)
     nose = ((pixels[:, _NOSE] - pixels[:, _EARS].mean(axis=1)) * across).sum(axis=-1)
-    face = np.hypot(ears / FRONT, nose)
-    upper = (track.landmarks[rows][:, _UPPER, :2], pixels[:, _UPPER])
+    upper = (landmarks[:, _UPPER, :2], pixels[:, _UPPER])
     metres, drawn = (points - points.mean(axis=1, keepdims=True) for points in upper)
     slopes = (metres * drawn).sum(axis=1) / (metres**2).sum(axis=1)
-    return float(np.median(face) * np.median(slopes[:, 0] / slopes[:, 1]))
+    return float(np.median(np.hypot(ears / FRONT, nose)) * np.median(slopes[:, 0] / slopes[:, 1]))
 
 
 def _hips_bent(track: PoseTrack) -> float:
