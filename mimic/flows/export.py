@@ -271,7 +271,7 @@ def _film(
 
     def pictures() -> Iterator[np.ndarray]:
         robot = robot_of(log)
-        with RobotFilm(log, robot, width=width, height=height) as film:
+        with RobotFilm(log, robot, width=width, height=height, shadows=False) as film:
             for tick in ticks:
                 picture = film.picture(int(tick))
                 flat = picture.reshape(-1, 3) / 255.0

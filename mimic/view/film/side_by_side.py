@@ -56,6 +56,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
         targets: TargetTrack | None = None,
         pose: PoseTrack | None = None,
         pull: tuple[FloatArray, FloatArray] | None = None,
+        shadows: bool = True,
     ) -> None:
         """Prepare rendering.
 
@@ -67,6 +68,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
             targets: Also shows the targets before clamping.
             pose: The person; the robot is seen from where the camera saw them.
             pull: Where a hand pulls at each tick (T, 3), world axes [m], and how strongly (T, 3) [N]; an arrow.
+            shadows: Whether the robot casts one.
 
         Raises:
             NoOffscreenGL: If off-screen rendering is not available.
@@ -83,7 +85,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
         self._unclamped = None if targets is None else self._unclamped_targets(targets)
         self._path = camera_path(log, self._qpos[:, :3])
         self._azimuth = initial_heading(log) + seen_from(pose, targets) + np.pi
-        self._screen = Offscreen(model, width, height)
+        self._screen = Offscreen(model, width, height, shadows=shadows)
 
     def _unclamped_targets(self, targets: TargetTrack) -> FloatArray:
         """Return the targets before clamping, world axes (ticks, 2, 3) [m]; NaN where clamping changed nothing."""

@@ -37,6 +37,16 @@ def test_picture_shows_the_robot_and_the_colours_of_its_sides(still: np.ndarray)
     assert x[left].mean() > x[right].mean(), "the robot faces the camera: its left is on the right of the picture"
 
 
+def test_without_shadows_the_floor_beside_the_robot_is_lighter(
+    still: np.ndarray, log: RunLog, description: RobotDescription
+) -> None:
+    with RobotFilm(log, description, width=160, height=120, shadows=False) as film:
+        lit = film.picture(60).astype(int)
+    brighter = (lit - still).min(axis=2) > 20
+    assert 50 < brighter.sum() < 0.2 * brighter.size
+    assert (still - lit).max() < 20
+
+
 def test_film_shows_the_person_waiting_and_then_in_step(
     still: np.ndarray,
     log: RunLog,
