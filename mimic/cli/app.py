@@ -370,7 +370,7 @@ def _check_command(arguments: list[str]) -> None:
     names = [*COMMANDS, *GROUPS]
     if word in names or os.path.exists(word) or Path(word).suffix or os.sep in word:
         return
-    close = get_close_matches(word, names, n=1)
+    close = get_close_matches(word, [*names, "--help", "--version"], n=1)
     hint = f"did you mean: mimic {close[0]}" if close else f"commands are {', '.join(names)}; a sentence follows --text"
     if " " in word:
         hint = f"to play a sentence: mimic --text {shlex.quote(word)} --sim"
