@@ -37,7 +37,7 @@ ACROSS = 53.0
 """Usual lean of a trunk that lies across the picture [deg]: of who stands or sits at most 33, turned by 90° 57."""
 FRONT = 1.85
 """Distance of the ears over that of eyes and mouth of a face from the front; of nose and ears from the side it is 1."""
-SQUEEZED = (0.81, 1.35)
+SQUEEZED = (0.82, 1.35)
 """Least and most width over height of a person in the picture, as a share of people's."""
 BENT = 45.0
 """Bend of the hips in the picture beyond which a person does not stand, in a fifth of the rows [deg]: of people who
@@ -65,7 +65,7 @@ def person_rows(score: FloatArray, min_visibility: float) -> BoolArray:
         min_visibility: Minimum visibility of a detected landmark.
     """
     seen = score >= min_visibility
-    return np.logical_and(seen[:, SHOULDERS].all(axis=1), seen[:, WRISTS].any(axis=1))
+    return seen[:, SHOULDERS].all(axis=1) & seen[:, WRISTS].any(axis=1)
 
 
 def shot_starts(change: FloatArray) -> IntArray:
@@ -166,8 +166,8 @@ def posture(track: PoseTrack) -> str:
 def _width_over_height(pixels: FloatArray, landmarks: FloatArray) -> float:
     """Return the usual width over height of a person as a share of people's; 1 from behind.
 
-    It is that of the face, which tells by nose and ears how far it is turned, times that of the upper body, whose shape
-    the landmarks tell.
+    It is that of the face, which tells by nose and ears how far it is turned, times that of the upper body over the
+    same in the landmarks.
 
     Args:
         pixels: Of a person in the picture (T, 33, 2) [px].
@@ -179,10 +179,8 @@ def _width_over_height(pixels: FloatArray, landmarks: FloatArray) -> float:
     across = down[:, ::-1] * (-1, 1) / np.maximum((down**2).sum(axis=-1, keepdims=True), 1.0)
     ears = ((pixels[:, _EARS[0]] - pixels[:, _EARS[1]]) * across).sum(axis=-1)
     nose = ((pixels[:, _NOSE] - pixels[:, _EARS].mean(axis=1)) * across).sum(axis=-1)
-    upper = (landmarks[:, _UPPER, :2], pixels[:, _UPPER])
-    metres, drawn = (points - points.mean(axis=1, keepdims=True) for points in upper)
-    slopes = (metres * drawn).sum(axis=1) / (metres**2).sum(axis=1)
-    return float(np.median(np.hypot(ears / FRONT, nose)) * np.median(slopes[:, 0] / slopes[:, 1]))
+    scale = pixels[:, _UPPER].std(axis=1) / landmarks[:, _UPPER, :2].std(axis=1)
+    return float(np.median(np.hypot(ears / FRONT, nose) * scale[:, 0] / scale[:, 1]))
 
 
 def _hips_bent(track: PoseTrack) -> float:
