@@ -65,7 +65,7 @@ def person_rows(score: FloatArray, min_visibility: float) -> BoolArray:
         min_visibility: Minimum visibility of a detected landmark.
     """
     seen = score >= min_visibility
-    return seen[:, SHOULDERS].all(axis=1) & seen[:, WRISTS].any(axis=1)
+    return np.logical_and(seen[:, SHOULDERS].all(axis=1), seen[:, WRISTS].any(axis=1))
 
 
 def shot_starts(change: FloatArray) -> IntArray:
