@@ -99,9 +99,10 @@ SHAFT = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="1" diaginertia="
 <joint name="shaft" axis="0 0 1"/></body></worldbody></mujoco>"""
 SERVO = {"drive": "voltage", "gain": 5.0, "voltage": 10.0, "kt": 0.4, "resistance": 4.0}
 """1 N m at rest with full duty, 25 rad/s without a load."""
+NOTHING = EffectSet()
 
 
-def driven(folder, target, inertia, effects=EffectSet(), seconds=0.05):
+def driven(folder, target, inertia, effects=NOTHING, seconds=0.05):
     """Return torque and speed of a shaft that a voltage drive turns to a target."""
     (folder / "shaft.xml").write_text(SHAFT.format(inertia))
     t = np.arange(0.0, seconds, 0.02)
