@@ -206,11 +206,7 @@ class Law:
         """Let the drives give no more than this from now on (N, J) [N m], whatever they could."""
         self._most = most
 
-    def reset(self, q: Any, dq: Any, heat: Any = None) -> None:
-        """Begin a run at encoder readings q and velocities dq (N, J); heat is the mean square torque so far."""
-        self.begin(self.unread(q), dq, heat)
-
-    def begin(self, q: Any, dq: Any, heat: Any = None, where: Any = None) -> None:
+    def begin(self, q: Any, dq: Any, where: Any = None) -> None:
         """Begin a run at link positions q, in all simulations or in those of ``where`` (N, 1), the others go on."""
         known = {
             "velocity": dq,
@@ -218,29 +214,11 @@ class Law:
             "theta": q,
             "omega": dq,
             "omega_open": dq,
-            "heat": heat,
             "goal": q,
         }
         for name, before in self.states.items():
-            value = known.get(name)
-            value = self._zero + (0.0 if value is None else value)
+            value = self._zero + known.get(name, 0.0)
             self.states[name] = value if where is None else self.xp.where(where, value, before)
-
-    def unread(self, reading: Any) -> Any:
-        """Return the position at which the encoders read this, steps of the encoder left out."""
-        q = reading
-        if "encoder_offset" in self._has:
-            q = q - self.get("encoder_offset", "angle")
-        if "encoder_scale" in self._has:
-            q = q / self.get("encoder_scale", "factor")
-        return self._centred(q)
-
-    def _centred(self, turned: Any) -> Any:
-        """Return the angle that an eccentric encoder reads as this one."""
-        q = turned
-        for _ in range(4 if "encoder_eccentricity" in self._has else 0):  # each leaves a fifth of the error or less
-            q = turned - self._beside(q)
-        return q
 
     def _beside(self, q: Any) -> Any:
         """Return what an eccentric encoder reads too much."""
@@ -251,7 +229,7 @@ class Law:
         return cosine + get("encoder_eccentricity", "sine") * xp.sin(angle)
 
     def reading(self, q: Any) -> Any:
-        """Return what the encoders read at link positions q; call it after `step` or `reset`."""
+        """Return what the encoders read at link positions q; call it after `step` or `begin`."""
         value = self._position(q)
         if "encoder_eccentricity" in self._has:
             value = value + self._beside(value)

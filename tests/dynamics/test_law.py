@@ -409,7 +409,6 @@ def test_an_eccentric_encoder_reads_and_is_driven_by_what_it_reads(bench):
     q = run["q"][-1]
     assert run["reading"][-1] == pytest.approx(q + 0.03 * np.cos(q) - 0.05 * np.sin(q), abs=1e-9)
     assert run["reading"][-1] == pytest.approx(0.5, abs=1e-4)
-    assert made.law.unread(np.array([[0.5, 0.5]]))[0, 0] == pytest.approx(q, abs=2e-4)
 
 
 def test_a_filtered_target_arrives_with_its_time_constant(bench):
