@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -38,6 +39,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def description() -> RobotDescription:
     return load_description("cyberdog2")
+
+
+@pytest.fixture(scope="session")
+def overload(description: RobotDescription) -> tuple[np.ndarray, np.ndarray]:
+    """Torques that the maker allows for a while, and for how long [s]."""
+    table = tomllib.loads((description.folder / "robot.toml").read_text(encoding="utf-8"))["motor"]["overload"]
+    return np.array(table["torque"]), np.array(table["seconds"])
 
 
 @pytest.fixture(scope="session")

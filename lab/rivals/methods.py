@@ -122,7 +122,7 @@ def _squares(problem: Setting, points: Sequence[Point]) -> FloatArray:
         tables.append(problem.blank.copy())
         for key, row in point.items():
             tables[-1][ROW[key]] = row
-    errors = problem.passes.run(tables, problem.gains.of(FOLLOWING * problem.gains.torque))
+    errors = problem.passes.run(tables, problem.gains.of(FOLLOWING * problem.gains.torque, problem.data))
     counts = problem.data.counts
     return np.array([np.square(e[counts]).sum() for e in errors])
 

@@ -159,7 +159,7 @@ def _hands(motion: KeyFrames, reach: Reach) -> dict[str, list[Move]]:
     shoulders = np.array([leg.origin + (0.0, leg.offset, 0.0) for leg in reach.legs])
 
     def points(q: np.ndarray) -> np.ndarray:
-        p = ((reach.toes(q) - shoulders) @ R_BT - [workspace.arm_forward, 0.0, 0.0]) / workspace.arm_scale
+        p = ((reach.toes(q) - shoulders) @ R_BT - [workspace.forward, 0.0, 0.0]) / workspace.scale
         return p * [[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]]
 
     times = np.cumsum([0.0, *(frame.duration for frame in motion.frames)])

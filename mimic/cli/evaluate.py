@@ -102,8 +102,6 @@ def _show_sit_down(policy: Path, result: dict[str, Any], out: Path) -> None:
             "base speed when the trunk touches": spread("impact_speed", "m/s"),
             "lies after": spread("lying_after_s", "s"),
             "downward base speed": spread("sinking_speed", "m/s"),
-            "front toes meet the ground": spread("toe_speed", "m/s"),
-            "hind knees meet the ground": spread("knee_speed", "m/s"),
             "acceleration of the base": spread("acceleration", "m/s^2"),
             "joints off the lying pose": spread("pose_error_rad", "rad"),
             "about to fall before": f"{s['falling_before']} more, not counted",

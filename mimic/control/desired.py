@@ -190,7 +190,7 @@ def clamp_desired(
 
     A toe beyond the length of its leg is clamped towards the hip axis; the finer limits are those of the retargeting.
     """
-    v = np.clip(v_des, -description.commands.velocity, description.commands.velocity)
+    v = np.clip(v_des, -description.commands.velocity_max, description.commands.velocity_max)
     clamped = int(np.count_nonzero(v != v_des))
     toes = np.array(p_BE_des, dtype=np.float64)
     for side, leg in enumerate(front_legs(description)):

@@ -129,7 +129,7 @@ class KeptDistance:
         self._track = track
         self._odometry = LegOdometry(description)
         self._dt = description.dt
-        self._fastest = float(description.commands.velocity[0])
+        self._fastest = float(description.commands.velocity_max[0])
         ahead = np.stack([np.cos(track.heading), np.sin(track.heading)], axis=1)
         self._way = np.cumsum(track.v[:, :1] * ahead, axis=0) * self._dt
         self._row = 0

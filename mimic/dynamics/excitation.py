@@ -51,8 +51,6 @@ class Excitation:
     """When each target is sent (T,) [s], uniform, from 0."""
     q_des: FloatArray
     """Targets (T, J) [rad or m]."""
-    sections: tuple[tuple[str, int, int], ...]
-    """Name, first row and end row of each section."""
 
 
 def hung_ranges(description: RobotDescription) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -102,13 +100,13 @@ def probe_targets(
     elif kind == "random":
         signals = _random(draw, seconds)
     elif kind in SECTIONS:
-        signals = [("rest", draw.rest(_HOLD)), (kind, _sections(draw)[kind](seconds))]
+        signals = [draw.rest(_HOLD), _sections(draw)[kind](seconds)]
     else:
         raise ConfigError(f"excitation {kind!r} does not exist; it is probe, random, {', '.join(SECTIONS)}")
     count = round(seconds * rate_hz)
-    u, sections = _joined(signals, count, round(_BLEND * rate_hz))
+    u = _joined(signals, count, round(_BLEND * rate_hz))
     q = centre + size * np.where(u > 0, u * (high - centre), u * (centre - low))
-    return Excitation(t=np.arange(count) / rate_hz, q_des=np.clip(q, low, high), sections=sections)
+    return Excitation(t=np.arange(count) / rate_hz, q_des=np.clip(q, low, high))
 
 
 @dataclass(frozen=True)
@@ -195,17 +193,14 @@ class _Draw:
         return np.clip(amplitude * u / np.abs(u).max(0), -1, 1)
 
 
-_Section = tuple[str, FloatArray]
-
-
-def _probe(draw: _Draw, seconds: float) -> list[_Section]:
+def _probe(draw: _Draw, seconds: float) -> list[FloatArray]:
     sine = min(10.0, seconds / 6)
     between = seconds - 2 * (sine + _HOLD) - _BLEND
     same = np.concatenate((draw.rest(_HOLD), draw.multisine(sine)))
     make = _sections(draw)
-    middle = [(name, make[name](share * between)) for name, share in _SHARES.items()]
-    count = round(seconds * draw.rate) - 2 * len(same) - sum(len(u) for _, u in middle)
-    return [("multisine", same), *middle, ("rest", np.zeros((count, draw.joints))), ("multisine", same)]
+    middle = [make[name](share * between) for name, share in _SHARES.items()]
+    count = round(seconds * draw.rate) - 2 * len(same) - sum(map(len, middle))
+    return [same, *middle, np.zeros((count, draw.joints)), same]
 
 
 def _sections(draw: _Draw) -> dict[str, Callable[[float], FloatArray]]:
@@ -220,15 +215,15 @@ def _sections(draw: _Draw) -> dict[str, Callable[[float], FloatArray]]:
     }
 
 
-def _random(draw: _Draw, seconds: float) -> list[_Section]:
-    signals: list[_Section] = [("rest", draw.rest(_HOLD))]
+def _random(draw: _Draw, seconds: float) -> list[FloatArray]:
+    signals = [draw.rest(_HOLD)]
     left = seconds - _HOLD
     while left > 0:
         for cutoff, amplitude in draw.rng.permutation([(0.3, 0.95), (1.0, 0.8), (2.5, 0.5), (5.0, 0.2)]):
             span = draw.rng.uniform(2.0, 5.0)
             noise = draw.noise(span, cutoff, amplitude)
             hold = np.repeat(noise[-1:], round(draw.rng.uniform(0.4, 1.0) * draw.rate), 0)
-            signals += [("noise", noise), ("hold", hold)]
+            signals += [noise, hold]
             left -= span + len(hold) / draw.rate
     return signals
 
@@ -238,18 +233,13 @@ def _ease(n: int) -> FloatArray:
     return smoothstep(np.linspace(0.0, 1.0, n)[:, None])
 
 
-def _joined(signals: list[_Section], count: int, blend: int) -> tuple[FloatArray, tuple[tuple[str, int, int], ...]]:
-    """Sections one after another; the first rows of each lead over from the last target before."""
+def _joined(signals: list[FloatArray], count: int, blend: int) -> FloatArray:
+    """Signals one after another; the first rows of each lead over from the last target before."""
     rows: list[FloatArray] = []
-    sections = []
-    total = 0
-    for name, u in signals:
+    for u in signals:
         if rows and not np.array_equal(rows[-1][-1], u[0]):
             n = min(blend, len(u))
             u = u.copy()
             u[:n] = rows[-1][-1] + _ease(n) * (u[:n] - rows[-1][-1])
         rows.append(u)
-        if total < count:
-            sections.append((name, total, min(count, total + len(u))))
-        total += len(u)
-    return np.concatenate(rows)[:count], tuple(sections)
+    return np.concatenate(rows)[:count]

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -200,26 +199,14 @@ class Law:
             if name in self._has:
                 kp = kp * self.get(name, of_kp)
                 kd = kd * self.get(name, of_kd)
-        if self._d.volts is not None:
-            more = self._stall() / (self._d.volts * self._d.kt / self._d.resistance)
-            kp = kp * more
-            kd = kd * more * self.get("motor", "kt") / self._d.kt
         self._kp[:] = kp
         self._kd[:] = kd
-
-    def _stall(self) -> Any:
-        """Return the torque of voltage drives at rest with full duty (N, J)."""
-        return self._zero + self._d.volts * self.get("motor", "kt") / self.get("motor", "resistance")
 
     def limit_torque(self, most: Any) -> None:
         """Let the drives give no more than this from now on (N, J) [N m], whatever they could."""
         self._most = most
 
-    def reset(self, q: Any, dq: Any, heat: Any = None) -> None:
-        """Begin a run at encoder readings q and velocities dq (N, J); heat is the mean square torque so far."""
-        self.begin(self.unread(q), dq, heat)
-
-    def begin(self, q: Any, dq: Any, heat: Any = None, where: Any = None) -> None:
+    def begin(self, q: Any, dq: Any, where: Any = None) -> None:
         """Begin a run at link positions q, in all simulations or in those of ``where`` (N, 1), the others go on."""
         known = {
             "velocity": dq,
@@ -227,29 +214,11 @@ class Law:
             "theta": q,
             "omega": dq,
             "omega_open": dq,
-            "heat": heat,
             "goal": q,
         }
         for name, before in self.states.items():
-            value = known.get(name)
-            value = self._zero + (0.0 if value is None else value)
+            value = self._zero + known.get(name, 0.0)
             self.states[name] = value if where is None else self.xp.where(where, value, before)
-
-    def unread(self, reading: Any) -> Any:
-        """Return the position at which the encoders read this, steps of the encoder left out."""
-        q = reading
-        if "encoder_offset" in self._has:
-            q = q - self.get("encoder_offset", "angle")
-        if "encoder_scale" in self._has:
-            q = q / self.get("encoder_scale", "factor")
-        return self._centred(q)
-
-    def _centred(self, turned: Any) -> Any:
-        """Return the angle that an eccentric encoder reads as this one."""
-        q = turned
-        for _ in range(4 if "encoder_eccentricity" in self._has else 0):  # each leaves a fifth of the error or less
-            q = turned - self._beside(q)
-        return q
 
     def _beside(self, q: Any) -> Any:
         """Return what an eccentric encoder reads too much."""
@@ -260,7 +229,7 @@ class Law:
         return cosine + get("encoder_eccentricity", "sine") * xp.sin(angle)
 
     def reading(self, q: Any) -> Any:
-        """Return what the encoders read at link positions q; call it after `step` or `reset`."""
+        """Return what the encoders read at link positions q; call it after `step` or `begin`."""
         value = self._position(q)
         if "encoder_eccentricity" in self._has:
             value = value + self._beside(value)
@@ -363,7 +332,7 @@ class Law:
         asked = kp * (ctrl - theta) + bias - kd * omega
         low, high = self._torque_limits(omega, self._supply_left(asked, omega))
         tau = xp.minimum(xp.maximum(asked, low), high)
-        if parts and not self._limited_nowhere(parts, asked, kp, low, high):
+        if parts:
             mean, load, square, free = self._one_by_one(parts, target, asked, kp, low, high)
             kp, kd, bias, tau = self._where_limited(mean, free, kp, kd, bias, omega, tau)
         else:
@@ -383,17 +352,6 @@ class Law:
             torque, kept = self._through_gear(q, dq, free, kd, low, high, torque, kept)
         inertia = self._inertia + self.dt * kept
         return StepInputs(torque=torque, inertia=inertia, friction=friction, applied=applied, tau=tau)
-
-    def _limited_nowhere(self, parts: Sequence[tuple[Any, Any]], asked: Any, kp: Any, low: Any, high: Any) -> bool:
-        """Return whether no torque limit acts at any of several targets, so that their mean tells all that counts.
-
-        False where it was not asked: a captured graph of PyTorch cannot branch, and some effects need each target.
-        """
-        if self.xp is not np or self._has & {"load_friction", "kt_heat"}:
-            return False
-        targets = [target for _, target in parts]
-        apart = self._stiffness(kp) * (reduce(np.maximum, targets) - reduce(np.minimum, targets))
-        return bool((asked + apart <= high).all() and (asked - apart >= low).all())
 
     def _stiffness(self, kp: Any) -> Any:
         return kp / self.get("encoder_scale", "factor") if "encoder_scale" in self._has else kp
@@ -447,11 +405,6 @@ class Law:
             speed = speed * left
         high = xp.minimum(xp.maximum((speed - omega) * slope, self._zero), torque)
         low = -xp.minimum(xp.maximum((speed + omega) * slope, self._zero), torque)
-        if self._d.volts is not None:
-            stall = self._stall()
-            brake = self._kd * omega
-            low = xp.maximum(low, -stall - brake)
-            high = xp.minimum(high, stall - brake)
         if self._most is not None:
             low = xp.maximum(low, -self._most)
             high = xp.minimum(high, self._most)

@@ -345,6 +345,8 @@ class Inertias:
         self.ipos[b] += away * load / (own + load)
 
 
-def tilted_gravity(roll: float, pitch: float, gravity: Sequence[float] = (0.0, 0.0, -GRAVITY)) -> FloatArray:
+def tilted_gravity(
+    roll: float, pitch: float, gravity: Sequence[float] | FloatArray = (0.0, 0.0, -GRAVITY)
+) -> FloatArray:
     """Return gravity (3,) in the axes of a base turned by roll about x, then pitch about y [rad]."""
     return Rotation.from_euler("xy", [roll, pitch]).apply(gravity, inverse=True)

@@ -27,7 +27,7 @@ def _modes(description: RobotDescription) -> tuple[FloatArray, FloatArray]:
     """Return the share of each response (2,) and its time constant (2,) [s], fast and slow."""
     thermal = description.thermal
     share = thermal.winding_share
-    return np.array([share, 1.0 - share]), np.array([thermal.winding_time, thermal.housing_time])
+    return np.array([share, 1.0 - share]), np.array([thermal.winding_seconds, thermal.housing_seconds])
 
 
 def _responses(tau: FloatArray, dt: float, description: RobotDescription) -> tuple[FloatArray, FloatArray]:

@@ -154,8 +154,6 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "impact_speed",
         "lying_after_s",
         "sinking_speed",
-        "toe_speed",
-        "knee_speed",
         "acceleration",
         "pose_error_rad",
         "height_m",

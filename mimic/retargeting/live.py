@@ -144,7 +144,7 @@ class LiveRetarget:
         turn = float(wrap_angle(heading - (self._heading0 or 0.0))) if self._turns else 0.0
         v = np.zeros(2)
         if self._live.follow:
-            most = self._reach.description.commands.velocity[0]
+            most = self._reach.description.commands.velocity_max[0]
             v[0] = np.clip(self._follower.see(t, heading, landmarks, image, valid, aspect), -most, most)
         return (-turn if self._settings.mirror else turn), v
 
@@ -227,6 +227,6 @@ class LiveTargets:
         if asked is not None and now - float(self._seen_at.max()) <= self._hold:  # who is not seen does not walk
             v = asked.v
             trunk = asked.trunk
-            most = self._reach.description.commands.turn_rate * dt
+            most = self._reach.description.commands.turn_rate_max * dt
             self._heading += float(np.clip(wrap_angle(asked.heading - self._heading), -most, most))
         return Command(v=v, heading=self._heading, p_BE=toes, height=trunk[0], pitch=trunk[1])

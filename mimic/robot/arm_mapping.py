@@ -24,9 +24,9 @@ def toes_of_arms(p_SH: FloatArray, reach: Reach, scale: float = 1.0) -> FloatArr
         Base -> toe (..., 2, 3), base axes [m].
     """
     workspace = reach.description.workspace
-    forward = np.array([workspace.arm_forward, 0.0, 0.0])
+    forward = np.array([workspace.forward, 0.0, 0.0])
     hips = np.array([leg.origin + (0.0, leg.offset, 0.0) for leg in reach.legs])
-    return hips + (scale * workspace.arm_scale * np.asarray(p_SH, dtype=np.float64) + forward) @ R_BT.T
+    return hips + (scale * workspace.scale * np.asarray(p_SH, dtype=np.float64) + forward) @ R_BT.T
 
 
 POSTURES = {

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,6 +35,8 @@ from mimic.robot.parts import (
     TrunkNumbers,
     Workspace,
 )
+
+R = TypeVar("R")
 
 FILE = "robot.toml"
 """Name of a description in a robot's folder."""
@@ -195,35 +197,16 @@ def _probe(probe: dict[str, Any]) -> ProbeRanges:
     return ProbeRanges(low=limits[:, 0], high=limits[:, 1], centre=centre)
 
 
-def _trunk_numbers(trunk: dict[str, Any]) -> TrunkNumbers:
-    left = _array(trunk["stance"])
-    ranges: dict[str, Any] = {name: tuple(trunk[name]) for name in ("height", "pitch")}
-    return TrunkNumbers(**trunk | ranges | {"stance": np.concatenate([left, left * [-1.0, 1.0, 1.0]])})
-
-
-def _thermal(motor: dict[str, Any]) -> ThermalNumbers:
-    thermal = motor["thermal"]
-    overload = motor.get("overload", {"torque": (), "seconds": ()})
-    return ThermalNumbers(
-        winding_share=thermal["winding_share"],
-        winding_time=thermal["winding_seconds"],
-        housing_time=thermal["housing_seconds"],
-        overload_torque=_array(overload["torque"]),
-        overload_time=_array(overload["seconds"]),
-    )
+def _record(kind: type[R], table: dict[str, Any]) -> R:
+    """Return a record of a table's numbers; lists become arrays."""
+    return kind(**{key: _array(value) if isinstance(value, list) else value for key, value in table.items()})
 
 
 def _names(model: dict[str, Any]) -> ModelNames:
     shapes = model["shapes"]
-    lists = {name: tuple(model[name]) for name in ("legs", "joints", "links")}
-    return ModelNames(
-        file=model["file"],
-        scene=model.get("scene", ""),
-        base=model["base"],
-        **lists,
-        toe_site=model.get("toe_site", ""),
-        patterns={role: tuple(shapes.get(role, ())) for role in ROLES},
-    )
+    own: dict[str, Any] = {}
+    own = {key: tuple(value) if isinstance(value, list) else value for key, value in model.items() if key != "shapes"}
+    return ModelNames(**own, patterns={role: tuple(shapes.get(role, ())) for role in ROLES})
 
 
 def _leg(raw: dict[str, Any], path: Path) -> LegGeometry:
@@ -239,7 +222,7 @@ def _leg(raw: dict[str, Any], path: Path) -> LegGeometry:
 def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
     limits = _joint_limits(raw)
     upright = _array(raw["upright"]["direction"])
-    motor, physics, goals, reach, commands = (raw[k] for k in ("motor", "physics", "goals", "reach", "commands"))
+    motor, physics, goals = (raw[k] for k in ("motor", "physics", "goals"))
     poses = {pose: _array(values["q"]) for pose, values in raw["pose"].items()}
     if any(q.shape != (len(JOINTS),) for q in poses.values()):
         raise AssetError(f"{path}: a pose does not have {len(JOINTS)} joints")
@@ -262,20 +245,13 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
         upright_direction=upright / np.linalg.norm(upright),
         goals=Goals(**{key: _array([*map(itemgetter(key), goals)]) for key in ("share", "low", "high")}),
         toe_radius=raw["toe"]["radius"],
-        workspace=Workspace(
-            margin=reach["margin"],
-            clearance=reach["clearance"],
-            speed_share=reach["speed_share"],
-            torque_share=reach["torque_share"],
-            arm_scale=_array(reach["scale"]),
-            arm_forward=reach["forward"],
-        ),
-        commands=CommandLimits(velocity=_array(commands["velocity_max"]), turn_rate=commands["turn_rate_max"]),
+        workspace=_record(Workspace, raw["reach"]),
+        commands=_record(CommandLimits, raw["commands"]),
         start=StartNumbers(**raw["start"]),
         safety=SafetyLimits(**raw["safety"]),
         training=TrainingNumbers(**raw["training"]),
-        trunk_numbers=_trunk_numbers(raw["trunk"]) if "trunk" in raw else None,
-        thermal_numbers=_thermal(motor) if "thermal" in motor else None,
+        trunk_numbers=_record(TrunkNumbers, raw["trunk"]) if "trunk" in raw else None,
+        thermal_numbers=_record(ThermalNumbers, motor["thermal"]) if "thermal" in motor else None,
         probe_ranges=_probe(raw["probe"]) if "probe" in raw else None,
     )
 

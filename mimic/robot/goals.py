@@ -10,7 +10,7 @@ import numpy as np
 
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
-from mimic.robot.leg_kinematics import front_legs, front_toes
+from mimic.robot.leg_kinematics import front_legs, front_postures, front_toes
 
 MARGIN = float(np.deg2rad(5.0))
 """Distance kept from every joint limit [rad]; the paper ends an episode there."""
@@ -29,11 +29,7 @@ def leg_joints(p_BE: FloatArray, description: RobotDescription) -> tuple[FloatAr
         Joint positions (..., 2, 3) [rad], and how far each leg is from a solution (..., 2): 0 where all joints lie
         inside their limits with the margin, otherwise the worst excess [rad]; infinite where out of reach.
     """
-    left, _ = front_legs(description)  # the right one is its mirror image
-    mirrored = np.stack([p_BE[..., 1, 0], -p_BE[..., 1, 1], p_BE[..., 1, 2]], -1)
-    q = left.inverse(np.stack([p_BE[..., 0, :], mirrored], -2))
-    abad = np.stack([q[..., 0, :, 0], -q[..., 1, :, 0]], -2)
-    q = np.stack([abad, q[..., 1], q[..., 2]], -1)
+    q = front_postures(p_BE, description)
     low = (description.q_min[:6] + MARGIN).reshape(2, 1, 3)
     high = (description.q_max[:6] - MARGIN).reshape(2, 1, 3)
     beyond = np.maximum(low - q, q - high).max(-1)

@@ -124,6 +124,11 @@ def front_toes(q: Any, description: RobotDescription, xp: Any = np) -> Any:
     return xp.stack([leg.forward(q[..., 3 * i : 3 * i + 3], xp) for i, leg in enumerate(front_legs(description))], -2)
 
 
+def front_postures(p_BE: FloatArray, description: RobotDescription) -> FloatArray:
+    """Return both postures of each front leg (..., 2, 2, 3) [rad] that put the toes at p_BE (..., 2, 3); see `Leg`."""
+    return np.stack([leg.inverse(p_BE[..., i, :]) for i, leg in enumerate(front_legs(description))], -3)
+
+
 def all_toes(q: FloatArray, description: RobotDescription) -> FloatArray:
     """Return base -> toe of each leg (..., 4, 3) [m], base axes, from joint positions (..., 12) [rad]."""
     return np.stack([leg.forward(q[..., 3 * i : 3 * i + 3]) for i, leg in enumerate(all_legs(description))], -2)

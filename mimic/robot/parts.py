@@ -21,7 +21,7 @@ class ModelNames:
 
     file: str
     """MJCF of the robot alone, in the folder of the description."""
-    scene: str
+    scene: str = ""
     """MJCF of the robot on a floor; empty where there is none."""
     base: str
     """Body that carries the legs."""
@@ -31,7 +31,7 @@ class ModelNames:
     """Names of the abad, hip and knee joint of a leg."""
     links: tuple[str, ...]
     """Names of the bodies that these joints move."""
-    toe_site: str
+    toe_site: str = ""
     """Site at the centre of a toe; empty where the model has none."""
     patterns: Mapping[str, tuple[str, ...]]
     """Role -> names of the collision shapes that have it."""
@@ -101,9 +101,9 @@ class Workspace:
     """Share of ``speed_flat`` that targets may ask of a joint."""
     torque_share: float
     """Share of ``torque_max`` that targets may ask for acceleration."""
-    arm_scale: FloatArray
+    scale: FloatArray
     """What the person's arm is multiplied by, forward, left and up (3,) [m per arm length]."""
-    arm_forward: float
+    forward: float
     """How far the scaled arm is moved forward [m]."""
 
 
@@ -111,9 +111,9 @@ class Workspace:
 class CommandLimits:
     """The commands that policies for this robot are trained and evaluated with."""
 
-    velocity: FloatArray
+    velocity_max: FloatArray
     """Fastest base velocity, forward and left (2,) [m/s]."""
-    turn_rate: float
+    turn_rate_max: float
     """Fastest change of a desired heading [rad/s]."""
 
 
@@ -123,14 +123,10 @@ class ThermalNumbers:
 
     winding_share: float
     """Share of the fast response (winding over housing)."""
-    winding_time: float
+    winding_seconds: float
     """Time constant of the fast response [s]."""
-    housing_time: float
+    housing_seconds: float
     """Time constant of the slow response (housing over air) [s]."""
-    overload_torque: FloatArray
-    """Torques of the motor's overload table (N,) [N m]; none where the maker has no such table."""
-    overload_time: FloatArray
-    """How long each may last from 25 degC (N,) [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,13 +186,13 @@ class TrunkNumbers:
     """How the robot stands by itself, and how far its trunk may be lowered and leant from there."""
 
     stance: FloatArray
-    """Hind legs of a robot that stands by itself, left then right (6,) [rad]."""
+    """Left hind leg of a robot that stands by itself (3,) [rad]."""
     lean: float
     """Forward lean of base x from the vertical there [rad]."""
-    height: tuple[float, float]
-    """Lowest and highest hind hips, from how it stands by itself [m]."""
-    pitch: tuple[float, float]
-    """Farthest lean backward and forward, from how it stands by itself [rad]."""
+    height: FloatArray
+    """Lowest and highest hind hips, from how it stands by itself (2,) [m]."""
+    pitch: FloatArray
+    """Farthest lean backward and forward, from how it stands by itself (2,) [rad]."""
     height_speed: float
     """Fastest change of the height [m/s]."""
     pitch_speed: float

@@ -17,7 +17,7 @@ import pinocchio as pin
 from mimic.records import JOINTS, FloatArray
 from mimic.robot.arm_torques import cross
 from mimic.robot.description import RobotDescription
-from mimic.robot.leg_kinematics import front_legs, front_toes
+from mimic.robot.leg_kinematics import front_legs, front_postures, front_toes
 from mimic.robot.model import TOES
 from mimic.robot.projection import Local, project
 from mimic.robot.rigid_body import rigid_body_model
@@ -168,8 +168,7 @@ class Reach:
 
     def _postures(self, p_BE: FloatArray) -> FloatArray:
         """Return both postures of each front leg (..., 2, 2, 3) for toes at (..., 2, 3); NaN out of bounds."""
-        p_BE = np.asarray(p_BE, dtype=np.float64)
-        both = np.stack([leg.inverse(p_BE[..., index, :]) for index, leg in enumerate(self.legs)], axis=-3)
+        both = front_postures(np.asarray(p_BE, dtype=np.float64), self.description)
         low, high = (bound.reshape(2, 1, 3) for bound in (self.q_min - 1e-9, self.q_max + 1e-9))
         return np.where(np.all((both >= low) & (both <= high), axis=-1, keepdims=True), both, np.nan)
 

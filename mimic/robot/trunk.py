@@ -97,9 +97,9 @@ class TrunkPoses:
         return (entry.astype(np.int64) if xp is np else entry.long()), share
 
 
-def _steps(low: float, high: float, step: float) -> FloatArray:
-    """Return values from low to high, at most a step apart."""
-    return np.linspace(low, high, int(np.ceil((high - low) / step)) + 1)
+def _steps(ends: FloatArray, step: float) -> FloatArray:
+    """Return values from one end to the other, at most a step apart."""
+    return np.linspace(ends[0], ends[1], int(np.ceil(np.ptp(ends) / step)) + 1)
 
 
 @cache
@@ -108,8 +108,8 @@ def _table(description: RobotDescription) -> tuple[FloatArray, FloatArray, Float
     numbers = description.trunk_numbers
     if numbers is None:
         raise AssetError(f"{description.name} has no [trunk] in its robot.toml: it cannot crouch or lean")
-    heights = _steps(*numbers.height, HEIGHT_STEP)
-    pitches = _steps(*numbers.pitch, PITCH_STEP)
+    heights = _steps(numbers.height, HEIGHT_STEP)
+    pitches = _steps(numbers.pitch, PITCH_STEP)
     statics = _Statics(description, numbers)
     table = np.empty((len(heights), len(pitches), 2 * HIND + 2))
     for row, height in enumerate(heights):
@@ -131,7 +131,8 @@ class _Statics:
         self._weight = GRAVITY * sum(inertia.mass for inertia in self._model.inertias)
         self._frames = [self._model.getFrameId(name, pin.FrameType.OP_FRAME) for name in TOES[2:]]
         self._legs = all_legs(description)[2:]
-        self._q = np.concatenate([description.poses["upright"][:HIND], numbers.stance])
+        right = numbers.stance * [-1.0, 1.0, 1.0]
+        self._q = np.concatenate([description.poses["upright"][:HIND], numbers.stance, right])
         self._turn = pin.utils.rotate("y", numbers.lean - 0.5 * np.pi)
         self._hips = np.mean([leg.origin for leg in self._legs], axis=0)
         hind = self._q[HIND:].reshape(2, 3)

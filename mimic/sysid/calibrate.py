@@ -369,13 +369,6 @@ def _by_log(
         unseen = data_of(others, model, names)
         alike = [times for times in unseen.sending if times.how == data.times.how]
         unseen = unseen.sent_at(alike[0]) if alike else unseen
-        old, new = (by_log(_over(one, unseen)) for one in ends)
+        old, new = (by_log(one.over(unseen)) for one in ends)
         found += [LogErrors(name, False, *rows) for name, *rows in zip(unseen.names, old, new, strict=True)]
     return tuple(found)
-
-
-def _over(model: Model, data: Data) -> Model:
-    """Return a model with its errors over other logs."""
-    own = model.setting
-    setting = replace(own, passes=own.passes.of(data), gains=own.gains.over(data))
-    return replace(model, setting=setting, columns=None).evaluated()

@@ -12,9 +12,8 @@ from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.engine.data import BEFORE, data_of
 from mimic.sysid.engine.laws import DELAY, ROW
-from mimic.sysid.engine.likelihood import DECAY, FOLLOWING
+from mimic.sysid.engine.likelihood import FOLLOWING
 from mimic.sysid.engine.model import STEP, blank_table, setting_of
-from mimic.sysid.engine.predictor import arrays_of
 from mimic.sysid.engine.predictor import predict as passed
 from mimic.sysid.log.timing import AT_ROW, SENT
 
@@ -49,8 +48,8 @@ def predict(log: JointLog, machine: MachineModel, effects: EffectSet, *, whole: 
     else:
         record = data.record
         setting = setting_of(data)
-        gains = setting.gains.of(FOLLOWING * setting.gains.torque)
-    made = passed(arrays_of(data.tree, record), table, gains, DECAY, STEP / 2.0, False)
+        gains = setting.gains.of(FOLLOWING * setting.gains.torque, data)
+    made = passed(data.tree, record, table, gains, STEP / 2.0)
     return np.where(counts, data.record.y - made[0], np.nan)
 
 
@@ -140,4 +139,4 @@ def _played(
         sent=sent,
         goal=np.ascontiguousarray(q_des[order]),
     )
-    return passed(arrays_of(data.tree, record), table, np.zeros((1, 2, 2, data.joints, 3)), DECAY, timestep, False)
+    return passed(data.tree, record, table, np.zeros((1, 2, 2, data.joints, 3)), timestep)

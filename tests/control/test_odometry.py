@@ -60,7 +60,7 @@ def test_a_robot_that_does_not_come_forward_is_asked_for_more(description, speed
     q = description.poses["upright"]
     asked = [kept.corrected(command(speed), q, UPRIGHT).v[0] for _ in range(150)]
     assert asked[-1] / speed > asked[0] / speed > 1.0
-    assert np.max(np.abs(asked)) <= description.commands.velocity[0]
+    assert np.max(np.abs(asked)) <= description.commands.velocity_max[0]
 
 
 @pytest.mark.parametrize(("speed", "turn", "side"), [(0.1, 0.3, -1), (0.1, -0.3, 1), (-0.1, 0.3, -1), (0.1, 0.0, 0)])

@@ -20,10 +20,6 @@ def test_targets_fill_the_time_and_stay_in_the_ranges(kind, seconds):
     assert np.allclose(np.diff(motion.t), 0.02)
     assert np.all((motion.q_des >= LOW) & (motion.q_des <= HIGH))
     assert np.array_equal(motion.q_des[0], CENTRE)
-    starts = [start for _, start, _ in motion.sections]
-    ends = [end for *_, end in motion.sections]
-    assert starts == [0, *ends[:-1]]
-    assert ends[-1] == len(motion.t)
 
 
 @pytest.mark.parametrize("kind", ["probe", "random"])
@@ -38,10 +34,9 @@ def test_same_seed_same_motion_other_seed_another(kind):
 @pytest.mark.parametrize("seconds", [60.0, 83.0, 120.0])
 def test_probe_ends_as_it_began_for_ten_seconds(seconds):
     motion = probe_targets(LOW, HIGH, CENTRE, seconds=seconds, seed=1)
-    (first, a, b), (last, c, d) = motion.sections[0], motion.sections[-1]
-    assert first == last == "multisine"
-    assert b - a >= 500
-    assert np.array_equal(motion.q_des[a:b], motion.q_des[c:d])
+    rows = 525  # it rests for half a second before
+    assert np.array_equal(motion.q_des[:rows], motion.q_des[-rows:])
+    assert np.ptp(motion.q_des[:rows], axis=0).min() > 0.1
 
 
 def test_probe_sweeps_most_of_the_range_and_asks_for_more_than_the_peak_torque():

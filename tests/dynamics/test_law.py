@@ -393,26 +393,6 @@ SERVO = {"drive": "voltage", "gain": 5.0, "voltage": 10.0, "kt": 0.4, "resistanc
 """1 N m at rest with full duty, 25 rad/s without a load."""
 
 
-def test_a_voltage_drive_gives_its_full_duty_and_no_more(bench):
-    assert bench(drive=SERVO).run(0.0025, target=lambda t: 0.1)["tau"][0] == pytest.approx(0.5)
-    assert bench(drive=SERVO).run(0.0025, target=lambda t: 3.0)["tau"][0] == pytest.approx(1.0)
-
-
-def test_a_voltage_drive_at_full_duty_runs_up_to_the_supply_over_its_constant(bench):
-    assert bench(drive=SERVO).run(5.0, target=lambda t: 1e4)["dq"][-1] == pytest.approx(25.0, rel=1e-3)
-
-
-def test_another_motor_constant_moves_torque_and_speed(bench):
-    made = bench({"motor": {"kt": 0.2, "resistance": 4.0}}, drive=SERVO).run(12.0, target=lambda t: 1e5)
-    assert made["tau"][0] == pytest.approx(0.5)
-    assert made["dq"][-1] == pytest.approx(50.0, rel=1e-2)
-
-
-def test_a_voltage_drive_driven_beyond_its_speed_brakes(bench):
-    made = bench(drive=SERVO).run(0.0025, target=lambda t: 1e4, speed=50.0)
-    assert made["tau"][0] == pytest.approx(-1.0)
-
-
 def test_motor_constants_of_a_drive_that_controls_torque_are_refused(bench):
     with pytest.raises(ConfigError, match="'motor' is of voltage drives"):
         neutral("motor", "kt", bench().machine)
@@ -429,7 +409,6 @@ def test_an_eccentric_encoder_reads_and_is_driven_by_what_it_reads(bench):
     q = run["q"][-1]
     assert run["reading"][-1] == pytest.approx(q + 0.03 * np.cos(q) - 0.05 * np.sin(q), abs=1e-9)
     assert run["reading"][-1] == pytest.approx(0.5, abs=1e-4)
-    assert made.law.unread(np.array([[0.5, 0.5]]))[0, 0] == pytest.approx(q, abs=2e-4)
 
 
 def test_a_filtered_target_arrives_with_its_time_constant(bench):

@@ -11,8 +11,8 @@ def limit_of(torque: float, description, *, ticks: int = 100, dt: float = 0.02) 
 
 
 @pytest.mark.parametrize("point", range(9))
-def test_the_times_of_the_overload_table_come_back(point, description):
-    torque, seconds = description.thermal.overload_torque[point], description.thermal.overload_time[point]
+def test_the_times_of_the_overload_table_come_back(point, description, overload):
+    torque, seconds = overload[0][point], overload[1][point]
     for sign in (1.0, -1.0):
         assert np.allclose(np.log(limit_of(sign * torque, description) / seconds), 0.0, atol=0.17)
 

@@ -40,11 +40,12 @@ def test_goal_boxes_have_volume_and_shares_of_one(description):
     assert np.all(description.goals.low < description.goals.high)
 
 
-def test_the_overload_table_goes_from_little_to_much(description):
-    assert np.all(np.diff(description.thermal.overload_torque) > 0)
-    assert np.all(np.diff(description.thermal.overload_time) < 0)
-    assert np.all(description.torque_rated < description.thermal.overload_torque[0])
-    assert np.all(description.thermal.overload_torque[-1] == description.torque_max)
+def test_the_overload_table_goes_from_little_to_much(description, overload):
+    torque, seconds = overload
+    assert np.all(np.diff(torque) > 0)
+    assert np.all(np.diff(seconds) < 0)
+    assert np.all(description.torque_rated < torque[0])
+    assert np.all(torque[-1] == description.torque_max)
 
 
 def test_an_unknown_robot_is_refused():

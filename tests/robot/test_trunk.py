@@ -27,7 +27,7 @@ def standing(description, height: float, pitch: float) -> tuple[mujoco.MjModel, 
     data.qpos[:3] = [pose.base[0], 0.0, 1.0 + pose.base[1]]
     mujoco.mju_axisAngle2Quat(data.qpos[3:7], np.array([0.0, 1.0, 0.0]), lean - np.pi / 2)
     data.qpos[7:13] = description.poses["upright"][:6]
-    data.qpos[13:] = numbers.stance + pose.joints
+    data.qpos[13:] = [*numbers.stance, *(numbers.stance * [-1.0, 1.0, 1.0])] + pose.joints
     mujoco.mj_forward(model, data)
     return model, data
 
@@ -86,7 +86,7 @@ def test_torch_gives_what_numpy_gives(description):
 
 
 def test_a_height_that_no_leg_reaches_is_refused(description):
-    deep = replace(description.trunk_numbers, height=(-0.3, 0.0))
+    deep = replace(description.trunk_numbers, height=np.array([-0.3, 0.0]))
     with pytest.raises(AssetError, match="do not reach"):
         TrunkPoses(replace(description, trunk_numbers=deep))
     with pytest.raises(AssetError, match="cannot crouch or lean"):

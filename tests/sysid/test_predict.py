@@ -93,3 +93,35 @@ def test_a_voltage_drive_is_followed_with_its_register_gain_and_supply(pendulum,
     assert rms(apart) > 0.01
     less = replace(log, metadata={**log.metadata, "voltage": 6.0})
     np.testing.assert_allclose(apart, predict(less, weak, EffectSet(), whole=True), atol=1e-6)
+
+
+SHAFT = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="1" diaginertia="{0} {0} {0}"/>
+<joint name="shaft" axis="0 0 1"/></body></worldbody></mujoco>"""
+SERVO = {"drive": "voltage", "gain": 5.0, "voltage": 10.0, "kt": 0.4, "resistance": 4.0}
+"""1 N m at rest with full duty, 25 rad/s without a load."""
+NOTHING = EffectSet()
+
+
+def driven(folder, target, inertia, effects=NOTHING, seconds=0.05):
+    """Return torque and speed of a shaft that a voltage drive turns to a target."""
+    (folder / "shaft.xml").write_text(SHAFT.format(inertia))
+    t = np.arange(0.0, seconds, 0.02)
+    exact = LogSettings(noise=0.0, resolution=0.0, torque_noise=0.0, timestep=0.0025)
+    log = simulate_log(read_machine(folder / "shaft.xml", SERVO), t, np.full((len(t), 1), target), effects, exact)
+    return log.tau[1:, 0], np.diff(log.q[:, 0]) * log.rate
+
+
+def test_a_voltage_drive_gives_its_full_duty_and_no_more(tmp_path):
+    assert driven(tmp_path, 0.1, 1e5)[0][0] == pytest.approx(0.5)
+    assert driven(tmp_path, 3.0, 1e5)[0][0] == pytest.approx(1.0)
+
+
+def test_a_voltage_drive_at_full_duty_runs_up_to_the_supply_over_its_constant(tmp_path):
+    assert driven(tmp_path, 1e4, 0.02, seconds=5.0)[1][-1] == pytest.approx(25.0, rel=1e-3)
+
+
+def test_another_motor_constant_moves_torque_and_speed(tmp_path):
+    values = {"kt": np.array([0.2]), "resistance": np.array([4.0])}
+    other = EffectSet((EffectValues(name="motor", joints=("shaft",), values=values),))
+    assert driven(tmp_path, 1e5, 1e5, other)[0][0] == pytest.approx(0.5)
+    assert driven(tmp_path, 1e5, 0.02, other, 12.0)[1][-1] == pytest.approx(50.0, rel=1e-2)

@@ -179,9 +179,7 @@ def simulate_log(
     with reporter.activity("") as show:
         show(f"simulating {motion.seconds:g} s", 0)
         log = simulate(machine, moved.t, moved.q_des, hidden, settings)
-    sections = [[name, moved.t[a], moved.t[min(b, len(moved.t) - 1)]] for name, a, b in moved.sections]
-    notes = {"motion": motion.kind, "sections": sections, "seed": settings.seed}
-    log = replace(log, metadata={**log.metadata, **notes})
+    log = replace(log, metadata={**log.metadata, "motion": motion.kind, "seed": settings.seed})
     if out is not None:
         write_log(log, out)
     return log

@@ -34,14 +34,14 @@ def violations(motion: KeyFrames, reach: Reach, max_seconds: float) -> list[str]
             errors.append(f"{where}: duration is {frame.duration:g} s; it must be at least {MIN_DURATION:g} s")
         commands = reach.description.commands
         turn = abs(frame.heading - heading)
-        for name, value, most in zip(("forward", "left"), frame.velocity, commands.velocity, strict=True):
+        for name, value, most in zip(("forward", "left"), frame.velocity, commands.velocity_max, strict=True):
             if abs(value) > most + 1e-6:
                 errors.append(f"{where}: velocity {name} is {value:g} m/s; it must be within ±{most:g}")
-        if turn / max(frame.duration, MIN_DURATION) > commands.turn_rate + ROUNDING:
+        if turn / max(frame.duration, MIN_DURATION) > commands.turn_rate_max + ROUNDING:
             errors.append(
                 f"{where}: heading_deg changes by {np.degrees(turn):.0f} in {frame.duration:g} s; the robot turns by "
-                f"at most {np.degrees(commands.turn_rate):.0f} deg/s, so take at least "
-                f"{turn / commands.turn_rate:.1f} s"
+                f"at most {np.degrees(commands.turn_rate_max):.0f} deg/s, so take at least "
+                f"{turn / commands.turn_rate_max:.1f} s"
             )
         errors += [f"{where}: {text}" for text in _trunk(frame, reach)]
         inside = [f"{where}: {text}" for text in _angles(frame.q, reach)]

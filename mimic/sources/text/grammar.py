@@ -91,7 +91,7 @@ def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray],
         return f"{'stop' if action.way == 'stop' else 'wait'} {seconds:g} s"
     if action.verb == "turn" or "degrees" in said:
         return _turn(action, timeline)
-    most = float(reach.description.commands.velocity[0])
+    most = float(reach.description.commands.velocity_max[0])
     metres = STEP_LENGTH * said["times"] if "times" in said else said.get("metres")
     speed = said.get("mps", min(most, WALK_SPEED[action.way] * action.speed))
     timeline.open_end = action.verb == "walk" and metres is None and "seconds" not in said

@@ -42,7 +42,7 @@ def rules(reach: Reach, longest: float) -> str:
         f"{np.degrees(q[3:]).round().astype(int).tolist()} ({hand(q)})"
         for name, q in postures.items()
     )
-    v_x, v_y = commands.velocity
+    v_x, v_y = commands.velocity_max
     sideways = "it cannot walk sideways: the second number is 0" if v_y == 0 else f"{-v_y:g} to {v_y:g} m/s to the left"
     return f"""The robot is a {description.name} that stands upright on its two hind legs. \
 Its front legs are its arms, its
@@ -50,7 +50,7 @@ front toes its hands; "left" and "right" are the robot's own. You control:
 - velocity: [forward, left] in m/s on the way to the key frame; forward {-v_x:g} to {v_x:g}; {sideways}.
 - heading_deg: where it faces when the key frame is reached, relative to the start of the motion, \
 positive to the left; it
-  turns by at most {np.degrees(commands.turn_rate):.0f} deg/s.
+  turns by at most {np.degrees(commands.turn_rate_max):.0f} deg/s.
 - left_deg, right_deg: angles of abad, hip and knee of each front leg in DEGREES when the key frame is reached.
 - duration: seconds from the key frame before, at least 0.1. \
 The whole motion takes at most {longest:g} s and {MOST_FRAMES} frames.

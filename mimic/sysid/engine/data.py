@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -94,11 +96,22 @@ class Data:
         block = np.cumsum(np.concatenate([[1], np.diff(self.block * 1000 + (record.since / NEAR).astype(int)) != 0]))
         return replace(self, record=record._replace(lead=_leads(record.t, block, record.fresh)))
 
-    @property
+    @cached_property
     def chains(self) -> tuple[slice, ...]:
         """Joints of each chain."""
-        ends = zip(self.tree.first.tolist(), self.tree.end.tolist(), strict=True)
-        return tuple(slice(*one) for one in dict.fromkeys(ends))
+        begins = np.flatnonzero(self.tree.parent < 0).tolist()
+        return tuple(slice(*ends) for ends in pairwise([*begins, self.joints]))
+
+    @cached_property
+    def periods(self) -> list[float]:
+        """Usual time between two rows of each log (L,) [s]."""
+        steps = np.diff(self.record.t)
+        on = ~self.record.fresh[1:]
+        return [float(np.median(steps[(self.record.log[1:] == log) & on])) for log in range(self.logs)]
+
+    def moved(self, joint: int) -> slice:
+        """Return the joints that a number of a joint moves: those of its chain, all where it is of the machine (-1)."""
+        return slice(0, self.joints) if joint < 0 else self.chains[self.machine.chain[joint]]
 
     @property
     def moves(self) -> BoolArray:
@@ -121,7 +134,7 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
     together = pool([log.of(model.joints) for log in logs], model, names)
     log = together.log
     machine = as_logged(model, logs[0].metadata, by_force=log.q_des is None)
-    t = log.t
+    t = log.t.copy()
     which = together.which
     known = valid_samples(log)[:, None] & np.isfinite(log.q)
     begin = t[np.searchsorted(which, which)]
@@ -152,6 +165,7 @@ def data_of(logs: Sequence[JointLog], model: MachineModel, names: Sequence[str] 
         kt=none + (1.0 if drives.kt is None else drives.kt),
         ohm=none + (1.0 if drives.resistance is None else drives.resistance),
         neighbour=np.asarray(drives.neighbour),
+        gravity=np.array(machine.model.opt.gravity),
     )
     steps, noise = _encoders(log)
     sending = together.sending if log.q_des is not None else (at_rows(log),)

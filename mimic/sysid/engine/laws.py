@@ -70,11 +70,11 @@ filtered speed, lagged torque, mean square of the current, acceleration of the m
 motor, the friction impulse of the last step, which target is followed, acceleration of the link in the last step, and
 the impulse of the motor since the row before."""
 
-ACTS = 10
-(ON_MOTOR, ON_LINK, DAMPING, MEAN, OTHERS, ASKED, LOW, HIGH, SLOWING, CHANGING) = range(ACTS)
+ACTS = 11
+(ON_MOTOR, ON_LINK, DAMPING, MEAN, OTHERS, ASKED, LOW, HIGH, SLOWING, CHANGING, PLACE) = range(ACTS)
 """Rows of what drives do in a step: torque on the shaft, on the link beside, implicit damping, the motor's mean
 torque, torque on the shaft beside it, torque asked for at the first speed, its limits, damping that changes it
-within the step, and the change of speed for which all this is."""
+within the step, the change of speed for which all this is, and the place of the shaft in the chain's equations."""
 
 LEAST = 0.05
 """Least share of the torque constant, and of the supply, that is left."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from mimic.records import FloatArray
 from mimic.sysid.engine.data import Data
+from mimic.sysid.engine.predictor import DECAY
 
 FREEDOM = 8.0
 """Degrees of freedom: tails as those of stick and slip, and of single wrong readings. Source: Lange, Little, Taylor
 1989, robust statistical modelling using the t distribution."""
-
-DECAY = 0.1
-"""Time constant of the unknown torque [s]: slower than a reading, faster than a motion."""
 
 FOLLOWING = 0.1
 """Unknown torque while readings are followed, as a share of the torque of the joint."""
@@ -52,65 +53,55 @@ def weights(e: FloatArray, scale: FloatArray, data: Data) -> FloatArray:
     return np.where(data.counts, (FREEDOM + 1.0) / (FREEDOM + (e / s) ** 2) / s**2, 0.0)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Gains:
     """Steady Kalman gains of a position, speed and unknown torque in each joint."""
 
-    def __init__(self, data: Data, inertia: FloatArray, damping: FloatArray, torque: FloatArray) -> None:
-        """Take what the gains follow from.
+    inertia: FloatArray
+    """Usual inertia of each joint (J,) [kg m^2]."""
+    damping: FloatArray
+    """Viscous damping beside the drive's (J,) [N m s/rad]."""
+    torque: FloatArray
+    """Usual torque of each joint (J,) [N m]."""
 
-        Args:
-            data: Logs.
-            inertia: Usual inertia of each joint (J,) [kg m^2].
-            damping: Viscous damping beside the drive's (J,) [N m s/rad].
-            torque: Usual torque of each joint (J,) [N m].
-        """
-        self._data = data
-        self.inertia = inertia
-        self.damping = damping
-        self.torque = torque
-        self._known: dict[tuple[int, int, int, float], FloatArray] = {}
-        record = data.record
-        steps = np.diff(record.t)
-        self._steps = [float(np.median(steps[(record.log[1:] == k) & ~record.fresh[1:]])) for k in range(data.logs)]
-
-    def over(self, data: Data) -> Gains:
-        """Return the gains of the same machine over other logs."""
-        return Gains(data, self.inertia, self.damping, self.torque)
-
-    def of(self, unknown: FloatArray) -> FloatArray:
+    def of(self, unknown: FloatArray, data: Data) -> FloatArray:
         """Return the gains (L, 2, 2, J, 3) of the first start and of those of blocks, with drives off and on, at these
         sizes of the unknown torque (J,) [N m] before blocks; none where it is 0.
         """
-        out = np.zeros((self._data.logs, 2, 2, self._data.joints, 3))
-        for log, on, j in np.ndindex(self._data.logs, 2, self._data.joints):
-            out[log, 0, on, j] = self._gain(log, j, on, float(FOLLOWING * self.torque[j]))
-            if unknown[j] > 0.0:
-                out[log, 1, on, j] = self._gain(log, j, on, float(unknown[j]))
+        out = np.zeros((data.logs, 2, 2, data.joints, 3))
+        sizes = np.stack([FOLLOWING * self.torque, unknown])
+        for log, block, on, j in np.ndindex(out.shape[:-1]):
+            if sizes[block, j] > 0.0:
+                mass = self.inertia[j]
+                stiff = on * data.record.kp[log, j] / mass
+                damp = (on * data.record.kd[log, j] + self.damping[j]) / mass
+                pushed = sizes[block, j] / mass
+                out[log, block, on, j] = _steady(data.periods[log], stiff, damp, pushed, data.noise[j])
+                out[log, block, on, j, 2] *= sizes[block, j]
         return out
 
-    def _gain(self, log: int, j: int, on: int, size: float) -> FloatArray:
-        key = (log, j, on, size)
-        if key not in self._known:
-            self._known[key] = self._steady(*key)
-        return self._known[key]
 
-    def _steady(self, log: int, j: int, on: int, size: float) -> FloatArray:
-        record = self._data.record
-        mass = float(self.inertia[j])
-        h = self._steps[log]
-        stiff = on * record.kp[log, j] / mass
-        damp = (on * record.kd[log, j] + self.damping[j]) / mass
-        noise = float(self._data.noise[j])
-        a = expm(np.array([[0.0, 1.0, 0.0], [-stiff, -damp, size / mass], [0.0, 0.0, -1.0 / DECAY]]) * h)
-        enters = np.array([0.5 * h * h * size / mass, h * size / mass, 1.0])
-        added = (1.0 - np.exp(-2.0 * h / DECAY)) * np.outer(enters, enters)
-        quick = (SPEED_NOISE * size * h / mass) ** 2
-        added += np.diag([(1e-3 * noise) ** 2, quick + (LEAST_NOISE * noise / h) ** 2, 1e-9])
-        scale = np.diag([1.0 / noise, h / noise, 1.0])
-        back = np.linalg.inv(scale)
-        a = scale @ a @ back
-        added = scale @ added @ scale
-        reading = np.array([[1.0, 0.0, 0.0]])
-        spread = solve_discrete_are(a.T, reading.T, added, np.eye(1))
-        gain = (spread @ reading.T / (reading @ spread @ reading.T + 1.0))[:, 0]
-        return np.array([1.0, 1.0 / h, size / noise]) * gain
+@lru_cache(maxsize=10000)
+def _steady(h: float, stiff: float, damp: float, pushed: float, noise: float) -> FloatArray:
+    """Return the gains (3,) of position [1], speed [1/s] and unknown torque, in its size, for each radian.
+
+    Args:
+        h: Time between readings [s].
+        stiff: Of the drive, over the inertia [1/s^2].
+        damp: [1/s]
+        pushed: Acceleration by the unknown torque [rad/s^2].
+        noise: Of a reading [rad].
+    """
+    a = expm(np.array([[0.0, 1.0, 0.0], [-stiff, -damp, pushed], [0.0, 0.0, -1.0 / DECAY]]) * h)
+    enters = np.array([0.5 * h * h * pushed, h * pushed, 1.0])
+    added = (1.0 - np.exp(-2.0 * h / DECAY)) * np.outer(enters, enters)
+    quick = (SPEED_NOISE * pushed * h) ** 2
+    added += np.diag([(1e-3 * noise) ** 2, quick + (LEAST_NOISE * noise / h) ** 2, 1e-9])
+    scale = np.diag([1.0 / noise, h / noise, 1.0])
+    back = np.linalg.inv(scale)
+    a = scale @ a @ back
+    added = scale @ added @ scale
+    reading = np.array([[1.0, 0.0, 0.0]])
+    spread = solve_discrete_are(a.T, reading.T, added, np.eye(1))
+    gain = (spread @ reading.T / (reading @ spread @ reading.T + 1.0))[:, 0]
+    return np.array([1.0, 1.0 / h, 1.0 / noise]) * gain

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,8 +19,8 @@ from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.engine.data import Data
 from mimic.sysid.engine.laws import DROP, KEYS, ROW
-from mimic.sysid.engine.likelihood import DECAY, Gains, misfit, scales, weights
-from mimic.sysid.engine.predictor import Arrays, arrays_of, part_of, predict
+from mimic.sysid.engine.likelihood import Gains, misfit, scales, weights
+from mimic.sysid.engine.predictor import predict
 from mimic.sysid.log.noise import smooth
 
 STEP = 1.25e-3
@@ -82,10 +83,10 @@ class Passes:
 
     def _over(self, data: Data) -> None:
         self.data = data
-        whole = arrays_of(data.tree, data.record)
-        self._whole = [(slice(0, data.joints), whole)]
-        self._chains = [(own, part_of(whole, own)) for own in data.chains]
-        self._known: OrderedDict[bytes, FloatArray] = OrderedDict()
+        self._parts = {}
+        for own in (slice(0, data.joints), *data.chains):
+            self._parts[own.start, own.stop] = data.tree.part(own), data.record.part(own)
+        self._known: OrderedDict[tuple[Any, ...], FloatArray] = OrderedDict()
 
     @property
     def count(self) -> int:
@@ -111,44 +112,33 @@ class Passes:
     ) -> list[FloatArray]:
         """Return predicted readings, unknown torques and torques of the motors (3, T, J) of each, or the first kept."""
         shared = any((table[DROP] != 0.0).any() for table in points)  # motors that draw from one supply
-        parts = self._whole if shared else self._chains
-        lacking: dict[bytes, tuple[Arrays, FloatArray, FloatArray]] = {}
-        wanted: list[list[bytes]] = []
+        parts = (slice(0, self.data.joints),) if shared else self.data.chains
+        wanted: list[list[tuple[Any, ...]]] = []
+        numbers = {}
         for table in points:
             wanted.append([])
-            for own, arrays in parts:
-                numbers = np.ascontiguousarray(table[:, own])
-                corrections = np.ascontiguousarray(gains[..., own, :])
-                key = b"".join((repr((own, step, follow, kept)).encode(), numbers.tobytes(), corrections.tobytes()))
+            for own in parts:
+                given = np.ascontiguousarray(table[:, own]), np.ascontiguousarray(gains[..., own, :])
+                key = own.start, own.stop, step, follow, kept, *(each.tobytes() for each in given)
                 wanted[-1].append(key)
-                if key in self._known:
-                    self._known.move_to_end(key)
-                else:
-                    lacking[key] = arrays, numbers, corrections
-        found = {key: self._known[key] for keys in wanted for key in keys if key in self._known}
-        found |= self._made(lacking, step, follow, kept)
+                numbers[key] = given
+
+        def made(key: tuple[Any, ...]) -> FloatArray:
+            tree, record = self._parts[key[:2]]
+            p, corrections = numbers[key]
+            return predict(tree, record, p, corrections, step, follow)[:kept].copy()
+
+        lacking = [key for key in numbers if key not in self._known]
+        with ThreadPoolExecutor(self.threads) as pool:
+            self._known.update(zip(lacking, pool.map(made, lacking), strict=True))
         self._counted[0] += len(lacking) / len(parts)
-        return [np.concatenate(list(map(found.__getitem__, keys)), axis=-1) for keys in wanted]
-
-    def _made(
-        self, lacking: Mapping[bytes, tuple[Arrays, FloatArray, FloatArray]], step: float, follow: bool, kept: int
-    ) -> dict[bytes, FloatArray]:
-        """Run passes, and keep the last of them."""
-
-        def one(key: bytes) -> FloatArray:
-            arrays, numbers, corrections = lacking[key]
-            return predict(arrays, numbers, corrections, DECAY, step, follow)[:kept].copy()
-
-        if min(self.threads, len(lacking)) < 2:
-            new = {key: one(key) for key in lacking}
-        else:
-            with ThreadPoolExecutor(self.threads) as pool:
-                new = dict(zip(lacking, pool.map(one, lacking), strict=True))
-        self._known.update(new)
-        most = max(int(MEMORY / (8.0 * self.data.record.y.size)), 1) * len(self._chains)
+        for key in numbers:
+            self._known.move_to_end(key)
+        out = [np.concatenate(list(map(self._known.__getitem__, keys)), axis=-1) for keys in wanted]
+        most = max(int(MEMORY / (8.0 * self.data.record.y.size)), 1) * len(self.data.chains)
         while len(self._known) > most:
             self._known.popitem(last=False)
-        return new
+        return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -241,10 +231,10 @@ class Model:
     @property
     def gains(self) -> FloatArray:
         """Corrections of a pass (L, 2, 2, J, 3)."""
-        return self.setting.gains.of(self.unknown)
+        return self.setting.gains.of(self.unknown, self.data)
 
     def over(self, data: Data) -> Model:
-        """Return the model after a pass over other data of the same logs."""
+        """Return the model after a pass over other data."""
         setting = replace(self.setting, passes=self.setting.passes.of(data))
         return replace(self, setting=setting, columns=None).evaluated()
 
@@ -280,11 +270,6 @@ class Model:
         cost = float(misfit(e, made.scale, self.data).sum()) + made.implausible(made.values())
         return replace(made, cost=cost if np.isfinite(cost) else np.inf)
 
-    def moved(self, f: Free) -> slice:
-        """Return the joints that a number moves: those of its chain, or all."""
-        tree = self.data.tree
-        return slice(0, self.data.joints) if f.joint < 0 else slice(int(tree.first[f.joint]), int(tree.end[f.joint]))
-
     def in_chain(self, own: slice, rows: slice | BoolArray = slice(None)) -> tuple[list[int], FloatArray]:
         """Return which numbers move a chain, and their derivatives there (C, N, J of the chain) over some rows."""
         assert self.columns is not None
@@ -301,25 +286,22 @@ class Model:
         return chosen, np.stack(columns) if columns else np.zeros((0, *self.e[rows, own].shape))
 
     def differentiated(self, known: Sequence[FloatArray] = ()) -> Model:
-        """Return the model with derivatives; numbers of chains apart share a pass; those of the first may be known."""
+        """Return the model with derivatives; those of the first numbers may be known."""
         if self.columns is not None:
             return self
         first = len(known)
-        data = self.data
         x = self.values()
         shift = np.zeros(len(x))
-        for k, f in list(enumerate(self.free))[first:]:
+        for k, f in enumerate(self.free):
             rough = CATALOGUE[f.key[0]].structural
             by = PART[0 if rough else 1] * self.setting.difference(f.key, f.joint)
             shift[k] = by if x[k] + by <= _ends(f)[1] else -by
-        colours = np.full(len(x), -1)
-        colours[first:] = _colours(self.free[first:], np.asarray(data.machine.chain))
-        tables = [self.at(x + np.where(colours == c, shift, 0.0)) for c in range(colours.max() + 1)]
+        tables = [self.at(x + row) for row in np.diag(shift)[first:]]
         *moved, still = self.setting.passes.run([*tables, self.table], self.gains, COARSE)
         columns = list(known)
-        for k, f in list(enumerate(self.free))[first:]:
-            own = self.moved(f)
-            columns.append(np.nan_to_num((moved[colours[k]][:, own] - still[:, own]) / shift[k]))
+        for f, e, by in zip(self.free[first:], moved, shift[first:], strict=True):
+            own = self.data.moved(f.joint)
+            columns.append(np.nan_to_num((e[:, own] - still[:, own]) / by))
         return replace(self, columns=tuple(columns))
 
     def normal(self, rows: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -360,7 +342,7 @@ class Model:
         pull = weights(self.e, self.scale, self.data) * np.nan_to_num(self.e)
         felt = np.zeros((len(self.free), len(self.data.fold)))
         for k, (f, column) in enumerate(zip(self.free, self.columns, strict=True)):
-            rows = (column * pull[:, self.moved(f)]).sum(axis=1)
+            rows = (column * pull[:, self.data.moved(f.joint)]).sum(axis=1)
             felt[k] = np.bincount(self.data.block, rows, len(self.data.fold))
         return felt
 
@@ -426,13 +408,13 @@ class Model:
         missed = np.nan_to_num(new.e - self.e)
         total = np.full(self.data.joints, 1e-300)
         for f, column, x, share in zip(self.free, self.columns, by, weighed, strict=True):
-            own = self.moved(f)
+            own = self.data.moved(f.joint)
             total[own] += x * share
             if x != 0.0:
                 missed[:, own] -= x * column
         made = []
         for f, column, share in zip(self.free, self.columns, weighed, strict=True):
-            own = self.moved(f)
+            own = self.data.moved(f.joint)
             made.append(column + share / total[own] * missed[:, own] if share != 0.0 else column)
         return tuple(made)
 
@@ -455,7 +437,7 @@ class Model:
         if len(self.data.chains) == 1:
             return by
         gain = by * descent
-        parts = np.array([self.moved(f).start if f.joint >= 0 else -1 for f in self.free])
+        parts = np.array([self.data.moved(f.joint).start if f.joint >= 0 else -1 for f in self.free])
         worth = np.array([gain[parts == part].sum() > IDLE * gain.sum() for part in parts])
         return _damped(hessian, descent, moves & worth, damping)
 
@@ -516,23 +498,6 @@ def _ends(f: Free) -> tuple[float, float]:
     return max(low, f.centre - f.within), min(high, f.centre + f.within)
 
 
-def _colours(free: Sequence[Free], chain: IntArray) -> IntArray:
-    """Return which pass each number is moved in: one of the whole machine alone, others with those of other chains."""
-    colours = np.zeros(len(free), dtype=int)
-    used = {int(c): 0 for c in chain}
-    for k, f in enumerate(free):
-        if f.joint >= 0:
-            own = int(chain[f.joint])
-            colours[k] = used[own]
-            used[own] += 1
-    most = max(used.values(), default=0)
-    for k, f in enumerate(free):
-        if f.joint < 0:
-            colours[k] = most
-            most += 1
-    return colours
-
-
 def blank_table(machine: MachineModel) -> FloatArray:
     """Return the table of numbers without any effect (S, J)."""
     table = np.zeros((len(KEYS), len(machine.joints)))
@@ -587,5 +552,5 @@ def setting_of(data: Data, threads: int = 1) -> Setting:
         "torque": np.maximum(rms(needed) + blank[ROW["coulomb", "level"]], 1e-6),
     }
     fastest = np.nanquantile(np.where(used, np.abs(speed), np.nan), 0.999, axis=0)
-    gains = Gains(data, inertia, blank[ROW["viscous", "coefficient"]], scale["torque"])
+    gains = Gains(inertia=inertia, damping=blank[ROW["viscous", "coefficient"]], torque=scale["torque"])
     return Setting(passes=Passes(data, threads), gains=gains, scale=scale, fastest=fastest, blank=blank)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from mimic.dynamics.machine import tilted_gravity
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.engine.laws import (
     ACTS,
@@ -41,6 +42,7 @@ from mimic.sysid.engine.laws import (
     ON_MOTOR,
     OTHERS,
     PITCH,
+    PLACE,
     PUSH,
     QM,
     ROLL,
@@ -66,21 +68,10 @@ from mimic.sysid.engine.laws import (
     resisting,
     unread,
 )
-from mimic.sysid.engine.tree import (
-    AT,
-    BIAS,
-    END,
-    FAST_MATH,
-    MOVING,
-    REST,
-    ROOM,
-    STIFFNESS,
-    Tree,
-    dynamics,
-    inlined,
-    links_of,
-    packed,
-)
+from mimic.sysid.engine.tree import AT, BIAS, FAST_MATH, MOVING, Tree, dynamics, inlined, links_of, room_of
+
+DECAY = 0.1
+"""Time constant of the unknown torque [s]: slower than a reading, faster than a motion."""
 
 LOST = 1e3
 """What a pass says where the machine flew apart: speeds beyond it, and predictions from there on [rad/s, rad]."""
@@ -149,16 +140,14 @@ class Record(NamedTuple):
     """(J,)"""
     neighbour: IntArray
     """(J,)"""
+    gravity: FloatArray
+    """In base axes (3,) [m/s^2]."""
 
-
-def gravity_of(gravity: FloatArray, roll: float, pitch: float) -> FloatArray:
-    """Return gravity in the axes of a base turned by roll about x, then pitch about y."""
-    cr = np.cos(roll)
-    sr = np.sin(roll)
-    cp = np.cos(pitch)
-    sp = np.sin(pitch)
-    across = sp * gravity[0] + cp * gravity[2]
-    return np.array([cp * gravity[0] - sp * gravity[2], cr * gravity[1] + sr * across, cr * across - sr * gravity[1]])
+    def part(self, own: slice) -> Record:
+        """Return the rows of some chains."""
+        names = ("y", "goal", "force", "on", "kp", "kd", "payload", "volts", "kt", "ohm", "neighbour")
+        made = self._replace(**{name: np.array(getattr(self, name)[..., own], order="C") for name in names})
+        return made._replace(neighbour=made.neighbour - own.start)
 
 
 @inlined
@@ -216,74 +205,6 @@ FAST, FORWARD, BACKWARD, LAST, PUSHED, SOLVE = range(6)
 """Columns of the equations of a step: velocity, largest friction impulses against forward and backward motion, the last
 impulse, and that of all other forces."""
 
-READING, ADDED, STIFF, DAMP, INPUTS = range(5)
-"""Columns of a row of a log: reading, torque beside the targets, gains, which are 0 where the drive is off."""
-
-TIME, SINCE, SUPPLY, CLOCK = range(4)
-
-LOG, FRESH, SETTLED, LEAD, MARKS = range(5)
-
-VOLTS, OWN_KT, OWN_OHM, NEIGHBOUR, MOTOR = range(5)
-
-
-class Arrays(NamedTuple):
-    """A record and a tree as a pass takes them: few arrays, since compiled code counts references to each."""
-
-    joints: IntArray
-    shape: FloatArray
-    clock: FloatArray
-    """(T, 3)"""
-    inputs: FloatArray
-    """(T, J, 4)"""
-    marks: IntArray
-    """(T, 4)"""
-    sent: FloatArray
-    goal: FloatArray
-    motors: FloatArray
-    """(J, 4)"""
-    payload: FloatArray
-    own: tuple[FloatArray, ...]
-    """Masses, centres, inertias, directions and tips of the links."""
-    gravity: FloatArray
-
-
-def arrays_of(tree: Tree, record: Record) -> Arrays:
-    """Return a tree and a record as a pass takes them."""
-    joints, shape = packed(tree)
-    kp = record.kp[record.log] * record.on
-    kd = record.kd[record.log] * record.on
-    return Arrays(
-        joints=joints,
-        shape=shape,
-        clock=np.stack([record.t, record.since, record.supply], -1),
-        inputs=np.stack([record.y, record.force, kp, kd], -1),
-        marks=np.stack([record.log, record.fresh, record.settled, record.lead], -1).astype(np.int64),
-        sent=record.sent,
-        goal=record.goal,
-        motors=np.stack([record.volts, record.kt, record.ohm, record.neighbour.astype(float)], -1),
-        payload=record.payload,
-        own=(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip),
-        gravity=tree.gravity,
-    )
-
-
-def part_of(whole: Arrays, own: slice) -> Arrays:
-    """Return one chain of a machine and its logs."""
-    before = np.array([own.start, 0, own.start, own.start])
-    joints = whole.joints[own] - before
-    joints[:, 0] = np.maximum(joints[:, 0], -1)
-    motors = whole.motors[own].copy()
-    motors[:, NEIGHBOUR] -= own.start
-    return whole._replace(
-        joints=joints,
-        shape=whole.shape[own],
-        inputs=np.ascontiguousarray(whole.inputs[:, own]),
-        goal=np.ascontiguousarray(whole.goal[:, own]),
-        motors=motors,
-        payload=np.ascontiguousarray(whole.payload[:, own]),
-        own=tuple(one[own] for one in whole.own),
-    )
-
 
 @inlined
 def supply_left(p, s):  # type: ignore[no-untyped-def]
@@ -321,31 +242,31 @@ def act(p, s, acts, j, h, change):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def ask(clock, inputs, goal, motors, p, s, acts, i, begin, h):  # type: ignore[no-untyped-def]
+def ask(record, p, s, acts, i, begin, h):  # type: ignore[no-untyped-def]
     """Let all drives and outer torques act for a step on the way to row i."""
     sagged = supply_left(p, s)
-    left = sagged * clock[i, SUPPLY]
-    since = clock[i - 1, SINCE] + begin - clock[i - 1, TIME]
+    left = sagged * record.supply[i]
+    since = record.since[i - 1] + begin - record.t[i - 1]
+    log = record.log[i]
     for j in range(s.shape[1]):
-        target = goal[int(s[AIM, j]), j]
-        kp = inputs[i - 1, j, STIFF]
-        kd = inputs[i - 1, j, DAMP]
-        volts = motors[j, VOLTS]
+        target = record.goal[int(s[AIM, j]), j]
+        kp = record.kp[log, j] * record.on[i - 1, j]
+        kd = record.kd[log, j] * record.on[i - 1, j]
+        volts = record.volts[j]
         if volts > 0.0:
-            more = p[KT, j] / motors[j, OWN_KT] * motors[j, OWN_OHM] / p[OHM, j]
+            more = p[KT, j] / record.kt[j] * record.ohm[j] / p[OHM, j]
             kp = kp * more
-            kd = kd * more * p[KT, j] / motors[j, OWN_KT]
-        drive(p, s, acts, j, h, since, target, kp, kd, inputs[i - 1, j, ADDED], left, sagged, volts)
+            kd = kd * more * p[KT, j] / record.kt[j]
+        drive(p, s, acts, j, h, since, target, kp, kd, record.force[i - 1, j], left, sagged, volts)
         on_motor, acts[ON_LINK, j] = placed(p, s, j)
-        others = on_motor + resisting(p, s, j, h, int(motors[j, NEIGHBOUR])) - p[VISCOUS, j] * s[VM, j] + s[W, j]
+        others = on_motor + resisting(p, s, j, h, record.neighbour[j]) - p[VISCOUS, j] * s[VM, j] + s[W, j]
         acts[OTHERS, j] = others
         act(p, s, acts, j, h, h * s[CHANGE, j])
 
 
 @inlined
-def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # type: ignore[no-untyped-def]
+def equations(tree, p, s, acts, room, mass, a, solve, begin, end, h):  # type: ignore[no-untyped-def]
     """Write the masses (C, C), forces and friction of a chain with its rotors; return how many there are."""
-    end = joints[begin, END]
     m = end - begin
     count = m
     for j in range(begin, end):
@@ -356,7 +277,7 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
     row = m
     for j in range(begin, end):
         i = j - begin
-        spring = shape[j, STIFFNESS] * (s[Q, j] - shape[j, REST])
+        spring = tree.stiffness[j] * (s[Q, j] - tree.rest[j])
         forward, backward = friction(p, s, j, acts[MEAN, j], room[j, BIAS], acts[CHANGING, j])
         inertia = p[ROTOR, j] + 0.5 * h * acts[DAMPING, j]
         link = acts[ON_LINK, j] - room[j, BIAS] - spring
@@ -375,6 +296,7 @@ def equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h):  # typ
         else:
             a[i, i] += inertia
             solve[i, PUSHED] = h * (acts[ON_MOTOR, j] + link)
+        acts[PLACE, j] = at
         solve[at, FORWARD] = h * forward
         solve[at, BACKWARD] = h * backward
         solve[at, LAST] = s[PUSH, j]
@@ -389,12 +311,8 @@ def changed(p, s, acts, room, solve, begin, end, h):  # type: ignore[no-untyped-
     it was.
     """
     other = False
-    row = end - begin
     for j in range(begin, end):
-        at = j - begin
-        if elastic(p, j):
-            at = row
-            row += 1
+        at = int(acts[PLACE, j])
         change = solve[at, FAST] - s[VM, j]
         before = acts[ON_MOTOR, j] - acts[OTHERS, j] - 0.5 * (acts[DAMPING, j] - p[VISCOUS, j]) * change
         act(p, s, acts, j, h, change)
@@ -407,14 +325,16 @@ def changed(p, s, acts, room, solve, begin, end, h):  # type: ignore[no-untyped-
 
 
 @inlined
-def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no-untyped-def]
-    """Bring the velocities of all joints and rotors to the end of a step."""
+def move(tree, p, s, acts, room, mass, a, solve, h):  # type: ignore[no-untyped-def]
+    """Bring the velocities of all joints and rotors to the end of a step, one chain after another."""
     n = s.shape[1]
     begin = 0
     while begin < n:
-        end = joints[begin, END]
+        end = begin + 1
+        while end < n and tree.parent[end] >= 0:
+            end += 1
         for _ in range(TRIES):
-            count = equations(joints, shape, p, s, acts, room, mass, a, solve, begin, h)
+            count = equations(tree, p, s, acts, room, mass, a, solve, begin, end, h)
             inverted(a, count)
             for i in range(count):
                 change = 0.0
@@ -424,14 +344,10 @@ def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no
             braked(a, count, solve)
             if not changed(p, s, acts, room, solve, begin, end, h):
                 break
-        row = end - begin
         for j in range(begin, end):
-            at = j - begin
-            s[GAINED, j] = (solve[at, FAST] - s[V, j]) / h
-            s[V, j] = solve[at, FAST]
-            if elastic(p, j):
-                at = row
-                row += 1
+            s[GAINED, j] = (solve[j - begin, FAST] - s[V, j]) / h
+            s[V, j] = solve[j - begin, FAST]
+            at = int(acts[PLACE, j])
             change = solve[at, FAST] - s[VM, j]
             driven(p, s, acts, j, h, change)
             s[CHANGE, j] = change / h
@@ -441,21 +357,21 @@ def move(joints, shape, p, s, acts, room, mass, a, solve, h):  # type: ignore[no
 
 
 @inlined
-def begin_at(clock, inputs, sent, goal, p, s, i):  # type: ignore[no-untyped-def]
+def begin_at(record, p, s, i):  # type: ignore[no-untyped-def]
     """Let a pass begin at rest at the readings of a row."""
     for j in range(s.shape[1]):
         for k in range(STATES):
             s[k, j] = 0.0
         row = i
-        while row + 1 < len(clock) and not np.isfinite(inputs[row, j, READING]):
+        while row + 1 < len(record.t) and not np.isfinite(record.y[row, j]):
             row += 1
-        s[Q, j] = unread(p, j, inputs[row, j, READING])
+        s[Q, j] = unread(p, j, record.y[row, j])
         s[QM, j] = s[Q, j]
         aim = 0
-        while aim + 1 < len(sent) and sent[aim + 1] <= clock[i, TIME] - p[DELAY, j] - p[JOINT_DELAY, j]:
+        while aim + 1 < len(record.sent) and record.sent[aim + 1] <= record.t[i] - p[DELAY, j] - p[JOINT_DELAY, j]:
             aim += 1
         s[AIM, j] = aim
-        s[GOAL, j] = goal[aim, j]
+        s[GOAL, j] = record.goal[aim, j]
 
 
 @inlined
@@ -469,11 +385,12 @@ def write(p, s, out, i, gap):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def correct(p, s, inputs, gains, i, log, block):  # type: ignore[no-untyped-def]
+def correct(record, p, s, gains, i, block):  # type: ignore[no-untyped-def]
     """Correct a state by what was read in a row."""
+    log = record.log[i]
     for j in range(s.shape[1]):
-        on = 1 if inputs[i, j, STIFF] > 0.0 else 0
-        off = inputs[i, j, READING] - reads(p, j, s[QM, j])
+        on = 1 if record.kp[log, j] * record.on[i, j] > 0.0 else 0
+        off = record.y[i, j] - reads(p, j, s[QM, j])
         if np.isfinite(off):
             s[Q, j] += gains[log, block, on, j, 0] * off
             s[QM, j] += gains[log, block, on, j, 0] * off
@@ -503,24 +420,22 @@ def half(p, s, h):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST_MATH, _nrt=False)  # type: ignore[call-overload]
-def advanced(machine, logs, p, s, rooms, i, steps, h, kept):  # type: ignore[no-untyped-def]
+def advanced(tree, record, loads, p, s, rooms, i, steps, h, kept):  # type: ignore[no-untyped-def]
     """Bring a state to row i; return whether the machine holds together."""
-    joints, shape, loads, pull = machine
-    clock, inputs, marks, sent, goal, motors = logs
     room, mass, acts, a, solve = rooms
     for k in range(steps):
-        now = clock[i - 1, TIME] + k * h
+        now = record.t[i - 1] + k * h
         end = now + h
         while now < end:
-            then = until(sent, p, s, now, end)
+            then = until(record.sent, p, s, now, end)
             part = then - now
             half(p, s, part)
             for j in range(s.shape[1]):
                 room[j, AT] = s[Q, j]
                 room[j, MOVING] = s[V, j] + 0.5 * part * s[GAINED, j]
-            dynamics(joints, shape, loads, marks[i, LOG], pull, room, mass)
-            ask(clock, inputs, goal, motors, p, s, acts, i, now, part)
-            move(joints, shape, p, s, acts, room, mass, a, solve, part)
+            dynamics(tree, loads, record.log[i], room, mass)
+            ask(record, p, s, acts, i, now, part)
+            move(tree, p, s, acts, room, mass, a, solve, part)
             if not half(p, s, part):
                 return False
             now = then
@@ -529,15 +444,17 @@ def advanced(machine, logs, p, s, rooms, i, steps, h, kept):  # type: ignore[no-
     return True
 
 
-def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step: float, follow: bool) -> FloatArray:
+def predict(
+    tree: Tree, record: Record, p: FloatArray, gains: FloatArray, step: float, follow: bool = False
+) -> FloatArray:
     """Return what a machine with some numbers is predicted to do: to the end of each block, or reading by reading.
 
     Args:
-        arrays: The machine and its logs.
+        tree: The machine.
+        record: Its logs.
         p: Numbers (S, J).
         gains: Corrections of position, velocity and unknown torque for each radian (L, 2, 2, J, 3): of the first
             start, which also follow every reading, and of those of blocks; of drives that are off, and on.
-        decay: Time constant of the unknown torque [s].
         step: Longest step [s].
         follow: Whether every reading corrects the state, and not only those before a block.
 
@@ -546,62 +463,53 @@ def predict(arrays: Arrays, p: FloatArray, gains: FloatArray, decay: float, step
         where the machine flew apart to the end of a block.
     """
     n = p.shape[1]
-    mass, centre, inertia, toward, tip = arrays.own
-    factor = p[FACTOR]
-    shift = p[SHIFT]
-    loads = [links_of(mass, centre, inertia, toward, tip, factor, shift, p[LOAD] + load) for load in arrays.payload]
-    pull = gravity_of(arrays.gravity, p[ROLL, 0], p[PITCH, 0])
+    loads = np.stack([links_of(tree, p[FACTOR], p[SHIFT], p[LOAD] + load) for load in record.payload])
     touching = p[GAP] > 0.0
     ring = np.sqrt(1.0 / (p[TOUCH] * np.maximum(p[ROTOR], 1e-5)))[touching].max(initial=0.0) * USUAL
     step *= min(1.0, RING / max(ring, 1e-9))
-    out = np.zeros((3, *arrays.inputs.shape[:2]))
-    shapes = (n, ROOM), (n, n), (ACTS, n), (2 * n, 2 * n), (2 * n, SOLVE)
-    rooms = tuple(np.zeros(shape) for shape in shapes)
+    out = np.zeros((3, *record.y.shape))
+    shapes = (n, n), (ACTS, n), (2 * n, 2 * n), (2 * n, SOLVE)
+    room = room_of(n, tilted_gravity(p[ROLL, 0], p[PITCH, 0], record.gravity))
+    rooms = (room, *(np.zeros(shape) for shape in shapes))
     both = np.zeros((STATES, n)), np.zeros((STATES, n))
-    machine = arrays.joints, arrays.shape, np.stack(loads), pull
-    logs = arrays.clock, arrays.inputs, arrays.marks, arrays.sent, arrays.goal, arrays.motors
-    _pass(machine, logs, p, gains, (decay, step, follow), rooms, both, out)
+    _pass(tree, record, loads, p, gains, step, follow, rooms, both, out)
     return out
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST_MATH, nogil=True, _nrt=False)  # type: ignore[call-overload]
-def _pass(machine, logs, p, gains, how, rooms, both, out):  # type: ignore[no-untyped-def]
+def _pass(tree, record, loads, p, gains, step, follow, rooms, both, out):  # type: ignore[no-untyped-def]
     """Write a pass to `out` with the room that it needs."""
-    clock, inputs, marks, sent, goal, _ = logs
     states, beside = both
-    decay, step, follow = how
-    n = inputs.shape[1]
     lost = False
-    for i in range(len(clock)):
-        log = marks[i, LOG]
-        lead = marks[i, LEAD]
-        if marks[i, FRESH]:
+    for i in range(len(record.t)):
+        lead = record.lead[i]
+        if record.fresh[i]:
             lost = False
-            begin_at(clock, inputs, sent, goal, p, states, i)
+            begin_at(record, p, states, i)
             write(p, states, out, i, 1.0)
-            correct(p, states, inputs, gains, i, log, 0)
+            correct(record, p, states, gains, i, 0)
             continue
-        gap = clock[i, TIME] - clock[i - 1, TIME]
+        gap = record.t[i] - record.t[i - 1]
         steps = max(int(np.ceil(gap / step - 1e-3)), 1)
         h = gap / steps
-        kept = np.exp(-h / decay)
+        kept = np.exp(-h / DECAY)
         if not lost:
-            lost = not advanced(machine, logs, p, states, rooms, i, steps, h, kept)
-        if lead > 1 and not advanced(machine, logs, p, beside, rooms, i, steps, h, kept):
-            begin_at(clock, inputs, sent, goal, p, beside, i)
+            lost = not advanced(tree, record, loads, p, states, rooms, i, steps, h, kept)
+        if lead > 1 and not advanced(tree, record, loads, p, beside, rooms, i, steps, h, kept):
+            begin_at(record, p, beside, i)
         if lost:
-            for j in range(n):
+            for j in range(p.shape[1]):
                 out[0, i, j] = LOST
         else:
             write(p, states, out, i, gap)
-        if not lost and (follow or not marks[i, SETTLED]):
-            correct(p, states, inputs, gains, i, log, 0)
+        if not lost and (follow or not record.settled[i]):
+            correct(record, p, states, gains, i, 0)
         if lead == 1 and lost:
-            begin_at(clock, inputs, sent, goal, p, beside, i)
+            begin_at(record, p, beside, i)
         elif lead == 1:
             copied(states, beside)
         if lead > 0:
-            correct(p, beside, inputs, gains, i, log, 1)
+            correct(record, p, beside, gains, i, 1)
         if lead == 3:
             copied(beside, states)
             lost = False

@@ -1,15 +1,14 @@
 """Which effects would explain innovations: each at a few sizes, by one step of least squares of what is left.
 
 An effect is moved to a few places; what each does to the innovations is a column, the numbers of the model are
-projected out, and the gain of the log density is that of a linear step. Joints of chains apart share a pass.
+projected out, and the gain of the log density is that of a linear step.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,21 +44,12 @@ class Place:
     """Numbers at the place."""
     moved: tuple[tuple[str, ...], ...]
     """Numbers that each column moves together."""
-    own: slice = field(default_factory=lambda: slice(None))
+    own: slice
     """Joints that it moves."""
-    columns: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    columns: FloatArray
     """What each does to the whitened innovations of these (C, T, J of the chain)."""
-    explained: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    explained: FloatArray
     """The part of that which the model's numbers do as well, in coordinates of their own (C, P)."""
-
-
-class Job(NamedTuple):
-    """An effect at one place in joints that share a pass."""
-
-    name: str
-    joints: list[int]
-    places: dict[int, Place]
-    tables: list[FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -166,55 +156,33 @@ class Screen:
 
     def run(self, names: Sequence[str]) -> list[Found]:
         """Return what each effect would gain in each joint alone and in all together, best first."""
-        jobs = [job for name in names for job in self._jobs(name)]
-        made = iter(self._run(jobs))
-        best: dict[str, dict[int, tuple[float, Place]]] = {}
-        for name, joints, places, own in jobs:
-            changes = [next(made) for _ in own]
-            for j in joints:
-                found = self._judged(name, j, places[j], changes)
-                if found is not None and found[0] > best.setdefault(name, {}).get(j, (-np.inf,))[0]:
-                    best[name][j] = found
-        out = [self._together(name, group, own) for name, own in best.items() for group in _groups(name, own, self)]
+        out = []
+        for name in names:
+            tried = [(j, *self._place(name, j, start)) for j in self._joints(name) for start in self._grid(name, j)]
+            tables = [self._table(name, j, values, names) for j, values, moved in tried for names in moved]
+            changes = iter(self._changes(name, tables))
+            own: dict[int, tuple[float, Place]] = {}
+            for j, values, moved in tried:
+                found = self._judged(name, j, values, moved, [next(changes) for _ in moved])
+                if found is not None and found[0] > own.get(j, (-np.inf,))[0]:
+                    own[j] = found
+            out += [self._together(name, group, own) for group in _groups(name, own, self)]
         return out
 
-    def _run(self, jobs: Sequence[Job]) -> list[FloatArray]:
-        """Return what each table of each job does to the errors: in short steps where there are thresholds."""
-        out: list[FloatArray] = []
-        run = self.model.setting.passes.run
-        gains = self.model.gains
-        (still,) = run([self.model.table], gains, COARSE)
-        for name, _, _, tables in jobs:
-            fine = CATALOGUE[name].structural
-            made = run(tables, gains, STEP if fine else COARSE)
-            out += [e - (self.model.e if fine else still) for e in made]
-        return out
+    def _changes(self, name: str, tables: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return what each table does to the errors: in short steps where there are thresholds."""
+        model = self.model
+        fine = CATALOGUE[name].structural
+        still, *moved = model.setting.passes.run([model.table, *tables], model.gains, STEP if fine else COARSE)
+        return [e - still for e in moved]
 
-    def _jobs(self, name: str) -> list[Job]:
-        """Return what passes try of an effect."""
-        jobs = []
-        for joints in self._rounds(name):
-            grids = {j: self._grid(name, j) for j in joints}
-            for k in range(max(len(grid) for grid in grids.values())):
-                here = [j for j in joints if k < len(grids[j])]
-                places = {j: self._place(name, j, grids[j][k]) for j in here}
-                columns = max(len(p.moved) for p in places.values())
-                tables = [self._table(name, places, c) for c in range(columns)]
-                jobs.append(Job(name, here, places, tables))
-        return jobs
-
-    def _rounds(self, name: str) -> list[list[int]]:
-        """Return the joints in which an effect can be tried, those that share a pass together."""
-        machine = self.model.data.machine
+    def _joints(self, name: str) -> list[int]:
+        """Return the joints in which an effect can be tried; -1 for the whole machine."""
         taken = dict(self.model.effects).get(name, ())
         if CATALOGUE[name].scope == "machine":
-            return [] if taken else [[-1]]
-        able = self.model.data.moves & (np.asarray(machine.last) | (not CATALOGUE[name].tip))
-        rounds: dict[int, list[int]] = {}
-        for j in np.flatnonzero(able).tolist():
-            if j not in taken:
-                rounds.setdefault(int(machine.place[j]), []).append(j)
-        return [rounds[place] for place in sorted(rounds)]
+            return [] if taken else [-1]
+        able = self.model.data.moves & (self.model.data.machine.last | (not CATALOGUE[name].tip))
+        return [j for j in np.flatnonzero(able).tolist() if j not in taken]
 
     def _grid(self, name: str, j: int) -> list[tuple[float | None, ...]]:
         """Return the values at which the numbers of an effect are tried in a joint."""
@@ -222,7 +190,10 @@ class Screen:
         axes = [starts_of(p, name, self.model.setting, j, peaks, self._most) for p in wanted(name)]
         return list(itertools.product(*axes))
 
-    def _place(self, name: str, j: int, start: tuple[float | None, ...]) -> Place:
+    def _place(
+        self, name: str, j: int, start: tuple[float | None, ...]
+    ) -> tuple[dict[str, float], tuple[tuple[str, ...], ...]]:
+        """Return the numbers of an effect at one place, and those of them that each column moves together."""
         setting = self.model.setting
         values = {}
         alone = []
@@ -241,26 +212,31 @@ class Screen:
                 moved = from_fit(p, x + by)
                 values[p.name] = moved if moved != own else from_fit(p, x - by)
                 alone.append((p.name,))
-        moved = ((tuple(together),) if together else ()) + tuple(alone)
-        return Place(values=values, moved=moved)
+        return values, ((tuple(together),) if together else ()) + tuple(alone)
 
-    def _table(self, name: str, places: Mapping[int, Place], column: int) -> FloatArray:
+    def _table(self, name: str, j: int, values: Mapping[str, float], moved: tuple[str, ...]) -> FloatArray:
         table = self.model.table.copy()
-        for j, place in places.items():
-            where = slice(None) if j < 0 else j
-            _set_fixed(table, name, where)
-            for p in wanted(name):
-                if p.shape or p.name in place.moved[column]:
-                    table[ROW[name, p.name], where] = place.values[p.name]
+        where = slice(None) if j < 0 else j
+        _set_fixed(table, name, where)
+        for p in wanted(name):
+            if p.shape or p.name in moved:
+                table[ROW[name, p.name], where] = values[p.name]
         return table
 
-    def _judged(self, name: str, j: int, place: Place, changes: list[FloatArray]) -> tuple[float, Place] | None:
-        tree = self.model.data.tree
-        own = slice(0, len(tree.first)) if j < 0 else slice(int(tree.first[j]), int(tree.end[j]))
+    def _judged(
+        self,
+        name: str,
+        j: int,
+        values: Mapping[str, float],
+        moved: tuple[tuple[str, ...], ...],
+        changes: list[FloatArray],
+    ) -> tuple[float, Place] | None:
+        """Return a place with what it would gain; None where the machine flies apart there."""
+        own = self.model.data.moved(j)
         columns = np.stack([np.nan_to_num(c[:, own]) * self._root[:, own] for c in changes])
         if not np.isfinite(columns).all() or np.abs(columns).max() > 1e6:
             return None
-        made = replace(place, own=own, columns=columns, explained=self._explained(own, columns))
+        made = Place(values=values, moved=moved, own=own, columns=columns, explained=self._explained(own, columns))
         steps, gain = self._step([made])
         if any(s < 0.0 and self._one_sided(name, m) for s, m in zip(steps, made.moved, strict=True)):
             least = float(np.sum(columns**2) - np.sum(made.explained**2))

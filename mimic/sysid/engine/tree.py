@@ -60,20 +60,22 @@ class Tree(NamedTuple):
     """Unit vector to the end of the link (J, 3)."""
     tip: FloatArray
     """End of the link (J, 3) [m]."""
-    gravity: FloatArray
-    """In base axes (3,) [m/s^2]."""
     stiffness: FloatArray
     """Of the model's springs [N m/rad]."""
     rest: FloatArray
     """Where these are slack [rad]."""
-    first: IntArray
-    """First joint of the chain."""
-    end: IntArray
-    """One beyond its last."""
+
+    def part(self, own: slice) -> Tree:
+        """Return some chains."""
+        made = Tree._make(np.array(each[own]) for each in self)
+        return made._replace(parent=np.maximum(made.parent - own.start, -1))
 
 
 FULL = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
 """Where MuJoCo has each number of an inertia."""
+
+HALF = np.triu_indices(3)
+"""Where the numbers of a link have them: xx xy xz yy yz zz."""
 
 
 def tree_of(machine: MachineModel) -> Tree:
@@ -91,8 +93,7 @@ def tree_of(machine: MachineModel) -> Tree:
     whole = np.stack([data.cinert[owner == j].sum(axis=0) for j in range(model.nv)])  # about the centre of the chain
     mass = whole[:, 9]
     away = whole[:, 6:9] / np.maximum(mass, 1e-30)[:, None]
-    square = np.einsum("ja,ja->j", away, away)[:, None, None] * np.eye(3) - np.einsum("ja,jb->jab", away, away)
-    about = whole[:, FULL] - mass[:, None, None] * square
+    about = whole[:, FULL] - _points(mass, away)
     centre = away + data.subtree_com[model.body_rootid[model.dof_bodyid]] - anchor
     rotation = axes.copy()
     offset = anchor.copy()
@@ -102,7 +103,6 @@ def tree_of(machine: MachineModel) -> Tree:
     link = np.array(data.xmat).reshape(-1, 3, 3)[machine.body]
     ends = np.array(data.xpos)[machine.body] + np.einsum("jab,jb->ja", link, machine.tip)
     toward = np.einsum("jab,jb->ja", link, machine.toward)
-    chain = machine.chain.tolist()
     return Tree(
         parent=parent,
         slide=np.array(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE),
@@ -114,12 +114,31 @@ def tree_of(machine: MachineModel) -> Tree:
         inertia=np.einsum("jba,jbc,jcd->jad", axes, about, axes),
         toward=np.einsum("jba,jb->ja", axes, toward),
         tip=np.einsum("jba,jb->ja", axes, ends - anchor),
-        gravity=np.array(model.opt.gravity),
         stiffness=np.array(model.jnt_stiffness, dtype=float).reshape(model.nv, -1)[:, 0].copy(),
         rest=np.array(model.qpos_spring),
-        first=np.array([chain.index(c) for c in chain]),
-        end=np.array([len(chain) - chain[::-1].index(c) for c in chain]),
     )
+
+
+def _points(mass: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the inertia of point masses (J,) at places (J, 3) about the origin (J, 3, 3)."""
+    square = (at**2).sum(axis=1)[:, None, None] * np.eye(3)
+    return mass[:, None, None] * (square - at[:, :, None] * at[:, None, :])
+
+
+def links_of(tree: Tree, factor: FloatArray, shift: FloatArray, load: FloatArray) -> FloatArray:
+    """Return the numbers of all links (J, 10) in their frames: mass, mass times centre, inertia about the origin.
+
+    Args:
+        tree: Links.
+        factor: On their masses (J,).
+        shift: Of their centres toward the tips (J,) [m].
+        load: At the tips (J,) [kg].
+    """
+    mass = tree.mass * factor
+    centre = tree.centre + shift[:, None] * tree.toward
+    moment = mass[:, None] * centre + load[:, None] * tree.tip
+    inertia = tree.inertia * factor[:, None, None] + _points(mass, centre) + _points(load, tree.tip)
+    return np.column_stack([mass + load, moment, inertia[:, *HALF]])
 
 
 def _axes_along(axis: FloatArray) -> FloatArray:
@@ -146,25 +165,15 @@ MOVING = 48
 MOMENTUM = 49
 ROOM = 55
 """Columns of the room of a joint: axes (row by row), origin, unit motion, composite body, spatial velocity,
-acceleration and force, bias force, position, velocity, momentum; one array for all, since compiled code counts
-references to every array that it touches."""
-
-PARENT, SLIDE, FIRST, END = range(4)
-"""Columns of the joints as whole numbers."""
-
-OFFSET = 9
-ZERO = 12
-STIFFNESS = 13
-REST = 14
-"""Columns of their geometry, after the rotation row by row."""
+acceleration and force, bias force, position, velocity, momentum."""
 
 
-def packed(tree: Tree) -> tuple[IntArray, FloatArray]:
-    """Return a tree as whole numbers (J, 4) and geometry (J, 15)."""
-    whole = np.stack([tree.parent, tree.slide, tree.first, tree.end], -1).astype(np.int64)
-    turned = tree.rotation.reshape(len(whole), 9)
-    rest = np.stack([tree.zero, tree.stiffness, tree.rest], -1)
-    return whole, np.ascontiguousarray(np.concatenate([turned, tree.offset, rest], axis=1))
+def room_of(joints: int, gravity: FloatArray) -> FloatArray:
+    """Return room for joints on a base (J + 1, ROOM); the last row is that of the base, which falls up."""
+    room = np.zeros((joints + 1, ROOM))
+    room[-1, FRAME:ORIGIN] = np.eye(3).ravel()
+    room[-1, RATE + 3 : FORCE] = -gravity
+    return room
 
 
 @inlined
@@ -176,32 +185,22 @@ def add_cross(room, i, a, b, to):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def place(joints, shape, room):  # type: ignore[no-untyped-def]
+def place(tree, room):  # type: ignore[no-untyped-def]
     """Write axes, origins and unit motions of all joints at their positions."""
-    for i in range(len(joints)):
-        before = joints[i, PARENT]
-        turn = room[i, AT] - shape[i, ZERO]
+    for i in range(len(tree.parent)):
+        before = tree.parent[i]
+        turn = room[i, AT] - tree.zero[i]
         for a in range(3):
             r = FRAME + 3 * a
-            if before < 0:
-                x = shape[i, r]
-                y = shape[i, r + 1]
-                z = shape[i, r + 2]
-                at = shape[i, OFFSET + a]
-            else:
-                u = room[before, r]
-                v = room[before, r + 1]
-                w = room[before, r + 2]
-                x = u * shape[i, 0] + v * shape[i, 3] + w * shape[i, 6]
-                y = u * shape[i, 1] + v * shape[i, 4] + w * shape[i, 7]
-                z = u * shape[i, 2] + v * shape[i, 5] + w * shape[i, 8]
-                at = room[before, ORIGIN + a]
-                at += u * shape[i, OFFSET] + v * shape[i, OFFSET + 1] + w * shape[i, OFFSET + 2]
-            room[i, r] = x
-            room[i, r + 1] = y
-            room[i, r + 2] = z
-            room[i, ORIGIN + a] = at
-        if joints[i, SLIDE]:
+            x = room[before, r]
+            y = room[before, r + 1]
+            z = room[before, r + 2]
+            for b in range(3):
+                turned = x * tree.rotation[i, 0, b] + y * tree.rotation[i, 1, b] + z * tree.rotation[i, 2, b]
+                room[i, r + b] = turned
+            away = x * tree.offset[i, 0] + y * tree.offset[i, 1] + z * tree.offset[i, 2]
+            room[i, ORIGIN + a] = room[before, ORIGIN + a] + away
+        if tree.slide[i]:
             for a in range(3):
                 along = room[i, FRAME + 3 * a + 2]
                 room[i, ORIGIN + a] += along * turn
@@ -268,19 +267,15 @@ def momentum(room, i, s, to):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
+def forces(tree, room):  # type: ignore[no-untyped-def]
     """Write the spatial force that each link needs at the velocities, without acceleration of the joints."""
-    for i in range(len(joints)):
-        before = joints[i, PARENT]
+    for i in range(len(tree.parent)):
+        before = tree.parent[i]
         for k in range(6):
             own = room[i, SCREW + k] * room[i, MOVING]
             room[i, FORCE + k] = own
-            room[i, SPEED + k] = own
-            room[i, RATE + k] = 0.0 if k < 3 else -gravity[k - 3]
-        if before >= 0:
-            for k in range(6):
-                room[i, SPEED + k] += room[before, SPEED + k]
-                room[i, RATE + k] = room[before, RATE + k]
+            room[i, SPEED + k] = room[before, SPEED + k] + own
+            room[i, RATE + k] = room[before, RATE + k]
         add_cross(room, i, SPEED, FORCE, RATE)
         add_cross(room, i, SPEED, FORCE + 3, RATE + 3)
         add_cross(room, i, SPEED + 3, FORCE, RATE + 3)
@@ -292,10 +287,10 @@ def forces(joints, gravity, room):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def gather(joints, room, mass):  # type: ignore[no-untyped-def]
+def gather(tree, room, mass):  # type: ignore[no-untyped-def]
     """Write mass matrix (J, J) and bias forces, from the last joint to the base; bodies become composite ones."""
-    for i in range(len(joints) - 1, -1, -1):
-        before = joints[i, PARENT]
+    for i in range(len(tree.parent) - 1, -1, -1):
+        before = tree.parent[i]
         bias = 0.0
         for k in range(6):
             bias += room[i, SCREW + k] * room[i, FORCE + k]
@@ -313,50 +308,21 @@ def gather(joints, room, mass):  # type: ignore[no-untyped-def]
                 own += room[j, SCREW + k] * room[i, MOMENTUM + k]
             mass[i, j] = own
             mass[j, i] = own
-            j = joints[j, PARENT]
+            j = tree.parent[j]
 
 
 @inlined
-def dynamics(joints, shape, loads, log, gravity, room, mass):  # type: ignore[no-untyped-def]
+def dynamics(tree, loads, log, room, mass):  # type: ignore[no-untyped-def]
     """Write mass matrix and bias forces (gravity, Coriolis, centrifugal) at the positions and velocities in the room.
 
     Args:
-        joints: Whole numbers of the tree (J, 4).
-        shape: Its geometry (J, 15).
-        loads: Numbers of its links in their frames (L, J, 10) with the load of each log: mass, mass times centre,
-            inertia about the frame's origin.
+        tree: The machine.
+        loads: Numbers of its links in their frames (L, J, 10) with the load of each log, see `links_of`.
         log: Which of these.
-        gravity: In base axes (3,) [m/s^2].
-        room: Positions and velocities, and takes the bias forces (J, 55).
+        room: Positions and velocities, and takes the bias forces (J + 1, 55).
         mass: Takes the mass matrix (J, J).
     """
-    place(joints, shape, room)
+    place(tree, room)
     weigh(loads, log, room)
-    forces(joints, gravity, room)
-    gather(joints, room, mass)
-
-
-@njit(cache=True, error_model="numpy")
-def links_of(mass, centre, inertia, toward, tip, factor, shift, load):  # type: ignore[no-untyped-def]
-    """Return the numbers of all links (J, 10), as `Tree` has them but with masses scaled by a factor, centres shifted
-    toward the tip and tips loaded, each (J,).
-    """
-    count = len(mass)
-    out = np.zeros((count, LINK))
-    for j in range(count):
-        m = mass[j] * factor[j]
-        square = 0.0
-        k = 4
-        for a in range(3):
-            c = centre[j, a] + shift[j] * toward[j, a]
-            out[j, 1 + a] = m * c + load[j] * tip[j, a]
-            square += m * c * c + load[j] * tip[j, a] * tip[j, a]
-            for b in range(a, 3):
-                other = centre[j, b] + shift[j] * toward[j, b]
-                out[j, k] = inertia[j, a, b] * factor[j] - m * c * other - load[j] * tip[j, a] * tip[j, b]
-                k += 1
-        out[j, 4] += square
-        out[j, 7] += square
-        out[j, 9] += square
-        out[j, 0] = m + load[j]
-    return out
+    forces(tree, room)
+    gather(tree, room, mass)

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from mimic.dynamics.machine import MachineModel, read_machine
-from mimic.sysid.engine.tree import AT, BIAS, MOVING, ROOM, drop_outdated, dynamics, links_of, packed, tree_of
+from mimic.sysid.engine.tree import AT, BIAS, MOVING, drop_outdated, dynamics, links_of, room_of, tree_of
 
 TREE = """<mujoco><compiler angle="radian"/><worldbody>
 <body pos=".1 .2 1" euler=".3 .2 .1"><joint name="a" axis="1 2 0" pos=".01 0 .02" ref=".2"/>
@@ -30,29 +30,26 @@ def machine_of(text: str, folder: Path) -> MachineModel:
 def test_mass_matrix_and_bias_forces_are_those_of_mujoco(tmp_path):
     machine = machine_of(TREE, tmp_path)
     tree, n = tree_of(machine), len(machine.joints)
-    joints, shape = packed(tree)
     one = np.ones(n)
-    links = links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0 * one, 0 * one)
+    links = links_of(tree, one, 0 * one, 0 * one)
     data, rng = mujoco.MjData(machine.model), np.random.default_rng(1)
-    room, mass = np.zeros((n, ROOM)), np.zeros((n, n))
+    room, mass = room_of(n, machine.model.opt.gravity), np.zeros((n, n))
     for _ in range(20):
-        data.qpos[:] = room[:, AT] = rng.uniform(-2, 2, n)
-        data.qvel[:] = room[:, MOVING] = rng.normal(0, 3, n)
+        data.qpos[:] = room[:n, AT] = rng.uniform(-2, 2, n)
+        data.qvel[:] = room[:n, MOVING] = rng.normal(0, 3, n)
         mujoco.mj_forward(machine.model, data)
-        dynamics(joints, shape, links[None], 0, tree.gravity, room, mass)
+        dynamics(tree, links[None], 0, room, mass)
         full = np.zeros((n, n))
         mujoco.mj_fullM(machine.model, data, full)
         np.testing.assert_allclose(mass, full, atol=1e-9)
-        np.testing.assert_allclose(room[:, BIAS], data.qfrc_bias, atol=1e-9)
+        np.testing.assert_allclose(room[:n, BIAS], data.qfrc_bias, atol=1e-9)
 
 
 def test_a_load_at_the_tip_is_a_point_of_that_mass(tmp_path):
     machine = machine_of(TREE, tmp_path)
     tree, n = tree_of(machine), len(machine.joints)
     one, load = np.ones(n), np.eye(n)[n - 1] * 0.2
-    bare, loaded = (
-        links_of(tree.mass, tree.centre, tree.inertia, tree.toward, tree.tip, one, 0 * one, m) for m in (0 * one, load)
-    )
+    bare, loaded = (links_of(tree, one, 0 * one, m) for m in (0 * one, load))
     added = (loaded - bare)[-1]
     tip = tree.tip[-1]
     np.testing.assert_allclose(added[:4], 0.2 * np.array([1.0, *tip]), atol=1e-12)

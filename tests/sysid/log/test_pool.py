@@ -45,7 +45,7 @@ def left(logs: list[JointLog], machine: MachineModel) -> np.ndarray:
     """Return what the machine as given leaves of each log [rad]."""
     data = data_of(logs, machine)
     setting = setting_of(data)
-    (e,) = setting.passes.run([setting.blank], setting.gains.of(FOLLOWING * setting.gains.torque))
+    (e,) = setting.passes.run([setting.blank], setting.gains.of(FOLLOWING * setting.gains.torque, setting.data))
     return np.array([np.sqrt(np.mean(e[data.counts[:, 0] & (data.record.log == k)] ** 2)) for k in range(data.logs)])
 
 
