@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from mimic.cli import options as o
 from mimic.cli.terminal.console import ConsoleReporter, table, warn
@@ -20,7 +20,6 @@ def batch(
     out: o.RequiredOut,
     workers: int = 0,
     ray: str | None = None,
-    export: Literal["lerobot"] | None = None,
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
     run: Annotated[o.Run, o.only("run", "policy", "seed", "early")] = None,
     robot: Annotated[o.Effects, o.only("robot", "robot_model", "effects")] = None,
@@ -39,8 +38,6 @@ def batch(
         Processes; 0: one per core.
     ray
         Play on a Ray cluster at this address, such as auto or 10.0.0.5:6379; its nodes need the same paths.
-    export
-        Also write all runs as one LeRobotDataset v3, into OUT/lerobot.
     """
     from mimic.flows.batch import batch as play_folder
 
@@ -48,15 +45,10 @@ def batch(
     done = play_folder(
         folder, out, settings, run=run, effects=robot, workers=workers, ray=ray, reporter=ConsoleReporter()
     )
-    if export is not None and not done.interrupted and any(row["status"] != "failed" for row in done.rows):
-        from mimic.flows.export import export_batch
-
-        dataset = export_batch(out, reporter=ConsoleReporter())
-        return _show(done, f", {dataset}")
     return _show(done)
 
 
-def _show(done: Batch, more: str = "") -> int:
+def _show(done: Batch) -> int:
     failed = done.with_status("failed")
     fell = done.with_status("fell")
     for row in failed:
@@ -74,7 +66,7 @@ def _show(done: Batch, more: str = "") -> int:
         figures["clamped"] = f"{sum(clamped) / len(clamped):.1%} of the targets"
     if played:
         figures["fell"] = f"{len(fell)}"
-    table("Batch", figures | {"written": f"{done.page}, {done.summary}{more}"})
+    table("Batch", figures | {"written": f"{done.page}, {done.summary}"})
     if done.interrupted:
         return STOPPED
     if failed:

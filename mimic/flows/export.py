@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
@@ -99,15 +98,6 @@ def export(
             arrays = {name: getattr(log, name) for name in names}
             np.savez_compressed(part, joint_names=np.array(JOINTS), **arrays)
     return 1
-
-
-def export_batch(out: Path, *, video: bool = True, reporter: Reporter | None = None) -> Path:
-    """Write all runs of a batch as one dataset into its folder ``lerobot``, in place of an earlier one."""
-    folder = out / "lerobot"
-    if (folder / "meta" / "info.json").is_file():
-        shutil.rmtree(folder)
-    export(out, folder, video=video, reporter=reporter)
-    return folder
 
 
 def _messages(log: RunLog) -> RosRun:

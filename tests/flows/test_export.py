@@ -15,7 +15,7 @@ import pytest
 from mimic.cli import main
 from mimic.config.play import RunSettings
 from mimic.errors import AssetError, ConfigError, MissingExtra
-from mimic.flows.export import export, export_batch
+from mimic.flows.export import export
 from mimic.flows.motions.motion import motion_from_text
 from mimic.flows.play import play
 from mimic.flows.reporter import SilentReporter
@@ -69,8 +69,7 @@ def test_a_dataset_has_the_log_in_the_published_layout(run, log, tmp_path):
 
 
 def test_runs_of_a_batch_are_episodes_of_one_dataset(batch, log):
-    for _ in range(2):  # the second one takes the place of the first
-        export_batch(batch, video=False)
+    export(batch, batch / "lerobot", video=False)
     episodes = pq.read_table(batch / "lerobot/meta/episodes/chunk-000/file-000.parquet").to_pylist()
     rows = len(log.t)
     assert [row["length"] for row in episodes] == [rows, rows]
