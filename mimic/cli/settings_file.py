@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -107,14 +108,5 @@ def _template() -> list[str]:
             lines += [f"# {line}" for line in wrap(" ".join(helps.get(f.name, "").split()), 100)]
             value = getattr(defaults, f.name)
             unset = f"# {f.name} = ...  # {expected(hints[f.name])}"
-            lines.append(unset if value is None else f"{f.name} = {_toml(value)}")
+            lines.append(unset if value is None else f"{f.name} = {json.dumps(value, default=str, ensure_ascii=False)}")
     return lines
-
-
-def _toml(value: Any) -> str:
-    """Return a default as TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    return f'"{value}"' if isinstance(value, (str, Path)) else repr(value)

@@ -17,7 +17,7 @@ from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.text_file import from_json
 from mimic.errors import ConfigError, MimicError, SourceError
 from mimic.flows.motions.motion import InputSettings, load_motion, playable, refuse_second_video
-from mimic.flows.play import load_robot, play, settings_of, shipped_sit_down
+from mimic.flows.play import load_robot, play, shipped_sit_down
 from mimic.flows.provenance import COMMAND, provenance
 from mimic.flows.reporter import Reporter, SilentReporter, reporting
 from mimic.flows.run_folder import METRICS, TARGETS, save_logs
@@ -273,7 +273,7 @@ def _play(job: Job) -> dict[str, Any]:
     if done.result.error is not None:
         raise done.result.error
     made_by = provenance(
-        settings_of(job.settings) | {"run": job.run, "robot": job.robot}, {"source": job.source, **done.inputs}
+        vars(job.settings) | {"run": job.run, "robot": job.robot}, {"source": job.source, **done.inputs}
     )
     folder = _folder(job)
     part = folder.with_name(f".{folder.name}.{os.getpid()}.part")

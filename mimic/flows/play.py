@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -233,7 +233,7 @@ def play_source(
         check_playable(run, effects)
         motion = load_source(source, settings, reporter, load_robot(effects.robot_model))
         done = play(motion, settings=run, effects=effects, reporter=reporter)
-        parts = settings_of(settings) | {"run": run, "robot": effects}
+        parts = vars(settings) | {"run": run, "robot": effects}
         return save_run(done, folder, reporter, settings=parts, source=file, film=film, footage=footage)
 
 
@@ -312,7 +312,7 @@ def save_targets(
     motion = load_motion(source, settings, description=description, reporter=reporter)
     if motion.targets is None:
         raise SourceError(f"{source} holds commands without targets; to play them: mimic {source} --sim")
-    store.save(motion.targets, out, made_by=provenance(settings_of(settings), {"source": source}))
+    store.save(motion.targets, out, made_by=provenance(settings, {"source": source}))
     return motion
 
 
@@ -334,11 +334,6 @@ def check_playable(run: RunSettings, effects: EffectsSettings) -> None:
 
     plant_options(effects)
     policy_for(run.policy, load_robot(effects.robot_model))
-
-
-def settings_of(settings: InputSettings) -> dict[str, Any]:
-    """Return the settings of an input by name, for provenance."""
-    return {f.name: getattr(settings, f.name) for f in fields(settings)}
 
 
 def warn_of_stand_effects(effects: EffectsSettings, reporter: Reporter) -> None:
