@@ -32,11 +32,9 @@ from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.robot.operator import Operator, undisturbed
 from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
 from mimic.frozen import frozen_arrays
-from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.step_budget import PARTS
 from mimic.hardware.hold_to_run import Hold, await_hold, hold_to_run
-from mimic.hardware.robot.board_wiring import BOARDS
-from mimic.hardware.session import Robot, robot_session, wiring_of
+from mimic.hardware.session import robot_session
 from mimic.io import store
 from mimic.policy.runtime import Policy, load_policy
 from mimic.records import CommandTrack, LiveCommands
@@ -58,8 +56,6 @@ class RobotRun:
     """How the robot was left, as a sentence without its full stop."""
     load: Sequence[float]
     """Measured share of each bus's time that was used; empty for a stock robot."""
-    expected_load: Sequence[float]
-    """The same, computed from the wiring and the control rate."""
     camera: CameraRecord | None
     endless: bool
     """Whether it was meant to go on until Ctrl-C."""
@@ -186,7 +182,7 @@ def play_on_robot(
         until_saved.enter_context(signals.caught())
         with _shown(supervisor, operator.show_event), undisturbed():
             done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
-        load, expected = _loads(plant, bus_url, bus, rate_hz)
+        load = tuple(plant.load())
         stack.close()
         if recorder.restore_events(done.events):
             reporter.warn(f"{folder} was removed while the robot ran; it is written again from memory")
@@ -210,7 +206,6 @@ def play_on_robot(
         bus_url=bus_url,
         ending=plant.ending,
         load=load,
-        expected_load=expected,
         camera=record,
         endless=source is None,
         shortfall=None if bus.dry_run else saved.run.shortfall,
@@ -233,14 +228,6 @@ def _name(source: Path | str | None, camera: str | None) -> str | None:
     if camera is not None:
         return f"camera {camera}"
     return source.name if isinstance(source, Path) else source
-
-
-def _loads(plant: Robot, bus_url: str, bus: BusSettings, rate_hz: float) -> tuple[Sequence[float], Sequence[float]]:
-    """Return the measured and the expected load of each bus; none of a robot with a board."""
-
-    if bus_url in BOARDS:
-        return (), ()
-    return tuple(plant.load()), tuple(expected_load(wiring_of(bus_url, bus), rate_hz))
 
 
 @contextmanager
