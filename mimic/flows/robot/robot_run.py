@@ -136,14 +136,15 @@ def play_on_robot(
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = _motion(source, settings, policy, reporter)
+    played = (source or "robot") if camera is None else camera_name(camera)
     standing = source is None and camera is None
     rate_hz = (PARTS if policy.contract.interpolate else 1) / description.dt
     inference = max(_inference(policy), _inference(sit_down))
-    folder = new_run_folder(_source_of_folder(source, camera), out)
+    folder = new_run_folder(played, out)
     moves = not bus.dry_run
     supervisor = Supervisor(description, strict=bus.tether, moves=moves)
     signals = Signals()
-    what = _announcement(_name(source, camera), bus)
+    what = _announcement(None if standing else played, bus)
     commands: CommandTrack | LiveCommands = motion.commands
     record: CameraRecord | None = None
     with ExitStack() as until_saved, ExitStack() as stack:
@@ -216,20 +217,6 @@ def play_on_robot(
     return ended
 
 
-def _source_of_folder(source: Path | str | None, camera: str | None) -> Path | str:
-    """Return what the folder of a run is named after."""
-    if source is not None:
-        return source
-    return Path("robot") if camera is None else camera_name(camera)
-
-
-def _name(source: Path | str | None, camera: str | None) -> str | None:
-    """Return what a person calls the motion; None where the robot only stands."""
-    if camera is not None:
-        return f"camera {camera}"
-    return source.name if isinstance(source, Path) else source
-
-
 @contextmanager
 def _says_how_it_was_left(ending: str, folder: Path) -> Iterator[None]:
     """Let a run that cannot be saved say how the robot was left, and how to save the run.
@@ -260,10 +247,11 @@ def _inference(policy: Policy) -> float:
     return float(np.median(took))
 
 
-def _announcement(name: str | None, bus: BusSettings) -> str:
+def _announcement(played: Path | str | None, bus: BusSettings) -> str:
     """Return what is about to happen."""
     if bus.dry_run:
         return "Dry run: the motors stay off."
+    name = played.name if isinstance(played, Path) else played
     what = "It stands up now." if name is None else f"It stands up now and plays {name}."
     return f"{what} On its rope: at most {bus.torque:g} N m." if bus.tether else what
 
