@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
+from mimic.config import sysid
 from mimic.config.emulator import EmulateSettings, ServeOptions
 from mimic.config.hardware import (
     BusSettings,
@@ -77,6 +78,7 @@ Look = Annotated[LookSettings | None, _group("Robot", 3)]
 WiringFile = Annotated[WiringSettings | None, _group("Robot", 3)]
 Probe = Annotated[ProbeSettings | None, _group("Motion", 2)]
 Calibrate = Annotated[CalibrateSettings | None, _group("Calibration", 2)]
+LogMotion = Annotated[sysid.LogMotion | None, Parameter(name="*")]
 SimulatedLog = Annotated[LogSettings | None, _group("Readings", 3)]
 Serve = Annotated[ServeOptions | None, Parameter(name="*")]
 Emulate = Annotated[EmulateSettings | None, _group("Emulated robot", 2)]
