@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -130,9 +130,10 @@ def _timing_rows(done: RobotRun) -> dict[str, str]:
     }
 
 
-def _load_row(load: Sequence[float]) -> dict[str, str]:
+def _load_row(load: Iterable[float]) -> dict[str, str]:
     """Return the measured load of each bus; none of a robot with a board."""
-    return {"bus load": ", ".join(f"{share:.1%}" for share in load)} if len(load) else {}
+    shares = [f"{share:.1%}" for share in load]
+    return {"bus load": ", ".join(shares)} if shares else {}
 
 
 def scan(bus_url: o.BusUrl, /, *, bus: o.WiringFile = None) -> int:
