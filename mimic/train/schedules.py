@@ -275,7 +275,7 @@ class MoveSchedule(Chance):
         self.wanted.copy_(self.velocity)
 
     def lead(self, led: Tensor, pull: Tensor, hand: Tensor, heading: Tensor) -> None:
-        """Let a pull say what is asked, as it does when the robot is led by the hand (mimic.evaluation.leading).
+        """Let a pull say what is asked, as it does when the robot is led by the hand.
 
         Args:
             led: True where it does, until the end of the episode (N,).
