@@ -8,6 +8,7 @@ import shlex
 import sys
 from collections.abc import Mapping
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -324,9 +325,9 @@ def _with_config(arguments: list[str]) -> list[str]:
                 raise ConfigError("--config needs a file, such as --config mimic.toml")
             value = rest[0]
             rest = rest[1:]
-        from mimic.cli.settings_file import config_of
+        from mimic.cli.settings_file import apply_settings, read_settings
 
-        app.config = config_of(Path(value))
+        app.config = (partial(apply_settings, read_settings(Path(value))),)
         return [*arguments[:index], *rest]
     return arguments
 

@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, get_args, get_type_hints
@@ -54,11 +53,6 @@ def apply_settings(given: Given, app: App, commands: tuple[str, ...], arguments:
             if child.keys[-1] in values and not child.has_tokens:
                 child.parameter = Parameter.combine(child.parameter, Parameter(parse=True))
                 child.append(Token(implicit_value=values[child.keys[-1]], source="--config"))
-
-
-def config_of(path: Path | None) -> tuple[Any, ...]:
-    """Return what the parser calls to fill settings from a file."""
-    return () if path is None else (partial(apply_settings, read_settings(path)),)
 
 
 def _groups(arguments: ArgumentCollection) -> list[tuple[str, Argument]]:

@@ -211,6 +211,9 @@ def play_source(
     Raises:
         SourceError, AssetError, ConfigError, ContractError: If something cannot be used; nothing is written then.
     """
+    from mimic.policy.runtime import load_policy as policy_for
+    from mimic.simulation.plant import plant_options
+
     settings = settings or InputSettings()
     run = run or RunSettings()
     effects = effects or EffectsSettings()
@@ -230,7 +233,8 @@ def play_source(
             from mimic.view.scene.footage import Footage
 
             footage = stack.enter_context(Footage(file))
-        check_playable(run, effects)
+        plant_options(effects)  # refused before long work, as a policy
+        policy_for(run.policy, load_robot(effects.robot_model))
         motion = load_source(source, settings, reporter, load_robot(effects.robot_model))
         done = play(motion, settings=run, effects=effects, reporter=reporter)
         parts = vars(settings) | {"run": run, "robot": effects}
@@ -321,19 +325,6 @@ def load_source(source: Path | str, settings: InputSettings, reporter: Reporter,
     if isinstance(source, Path):
         return load_motion(source, settings, description=robot, reporter=reporter)
     return motion_from_text(source, settings, description=robot, reporter=reporter)
-
-
-def check_playable(run: RunSettings, effects: EffectsSettings) -> None:
-    """Raise what playing would raise of its policy and effects, before long work.
-
-    Raises:
-        AssetError, ConfigError, ContractError: If one of them cannot be used.
-    """
-    from mimic.policy.runtime import load_policy as policy_for
-    from mimic.simulation.plant import plant_options
-
-    plant_options(effects)
-    policy_for(run.policy, load_robot(effects.robot_model))
 
 
 def warn_of_stand_effects(effects: EffectsSettings, reporter: Reporter) -> None:
