@@ -94,8 +94,7 @@ def predict_log(
     if out is not None:
         files = {"log": log, "model": model, **{f"effects {i}": f for i, f in enumerate(effects)}}
         inputs = {name: Path(f) for name, f in files.items() if isinstance(f, (str, Path))}
-        plain = {name: getattr(found, name) for name in ("joints", "unit", "noise", "errors")}
-        store.save_json({**plain, "whole": whole, "provenance": provenance({"whole": whole}, inputs)}, out)
+        store.save_json({**vars(found), "whole": whole, "provenance": provenance({"whole": whole}, inputs)}, out)
     return found
 
 
