@@ -138,7 +138,10 @@ def _rate(log: RunLog, folder: Path) -> int:
 
 def _even_ticks(log: RunLog, fps: int) -> np.ndarray:
     """Return the rows of a log at equal time steps; a row that came late is that of the nearest tick."""
-    return _nearest(log.t, log.t[0] + np.arange(round(float(log.t[-1] - log.t[0]) * fps) + 1) / fps)
+    t = log.t
+    times = t[0] + np.arange(round(float(t[-1] - t[0]) * fps) + 1) / fps
+    right = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
+    return right - (times - t[right - 1] < t[right] - times)
 
 
 def _runs(source: Path) -> list[Path]:
@@ -198,11 +201,6 @@ def _episode(log: RunLog, folder: Path, fps: int, film_progress: Progress | None
             raise AssetError(f"{folder / LOG} lacks {name} in tick {row}; a dataset has no gaps")
     film = (lambda path: _film(path, log, ticks, fps, film_progress)) if film_progress else None
     return Episode(task=_task(folder), columns=columns, film=film)
-
-
-def _nearest(t: FloatArray, times: FloatArray) -> np.ndarray:
-    right = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
-    return right - (times - t[right - 1] < t[right] - times)
 
 
 def _film(

@@ -46,7 +46,7 @@ from mimic.train.disturbances import Disturbances
 from mimic.train.rewards import BEARS
 from mimic.train.schedules import ArmSchedule, MoveSchedule, TrunkSchedule
 from mimic.train.starts import Start, Starts
-from mimic.train.tensors import Chance, in_heading_frame, put, quat_multiply, quat_rotate
+from mimic.train.tensors import Chance, in_heading_frame, put, quat_apply_inverse, quat_multiply
 from mimic.train.weights import REWARD_SCALE, passed, weights_at
 from mimic.train.worlds import Worlds
 
@@ -656,7 +656,7 @@ class StandTrackEnv(VecEnv, Chance):
         error = heading_error(read_quat, self.moves.heading, torch)
         gait = next_gait(self._gait, self.moves.velocity, error, self.contract, torch)
         self._gait.copy_(torch.where(self._rank < self._rest_share, gait, torch.ones_like(gait)))
-        omega = quat_rotate(self.disturbances.mount, w.qvel[:, 3:6], inverse=True) + self.disturbances.gyro_bias
+        omega = quat_apply_inverse(self.disturbances.mount, w.qvel[:, 3:6]) + self.disturbances.gyro_bias
         omega = without_pitch_rate(omega, trunk.asked[:, 1], rate.asked[:, 1], torch)
         frame = observation_frame(
             terms=self.contract.terms,
@@ -704,8 +704,8 @@ class StandTrackEnv(VecEnv, Chance):
             self._tracking().float()[:, None],
             torch.clamp(self.episode_length_buf.float() / STAND_UP_STEPS, max=2.0)[:, None],
             w.features,
-            quat_rotate(w.qpos[:, 3:7], self._floor_up, inverse=True),
-            quat_rotate(self._quat_WB, self._floor_up, inverse=True),
+            quat_apply_inverse(w.qpos[:, 3:7], self._floor_up),
+            quat_apply_inverse(self._quat_WB, self._floor_up),
             (self.disturbances.pull[..., :2] * 0.2).reshape(n, 4),
             self.disturbances.lost_share * 10,
             self._gait[:, None],

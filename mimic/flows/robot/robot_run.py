@@ -136,15 +136,15 @@ def play_on_robot(
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = _motion(source, settings, policy, reporter)
-    played = (source or "robot") if camera is None else camera_name(camera)
-    standing = source is None and camera is None
+    played = _played(source, camera)
+    standing = played is None
     rate_hz = (PARTS if policy.contract.interpolate else 1) / description.dt
     inference = max(_inference(policy), _inference(sit_down))
-    folder = new_run_folder(played, out)
+    folder = new_run_folder(played or "robot", out)
     moves = not bus.dry_run
     supervisor = Supervisor(description, strict=bus.tether, moves=moves)
     signals = Signals()
-    what = _announcement(None if standing else played, bus)
+    what = _announcement(played, bus)
     commands: CommandTrack | LiveCommands = motion.commands
     record: CameraRecord | None = None
     with ExitStack() as until_saved, ExitStack() as stack:
@@ -215,6 +215,11 @@ def play_on_robot(
         text = "".join(traceback.format_exception(ended.bug))
         (folder / ERROR).write_text(text, encoding="utf-8")
     return ended
+
+
+def _played(source: Path | str | None, camera: str | None) -> Path | str | None:
+    """Return what is played, or followed; None where the robot only stands."""
+    return source if camera is None else camera_name(camera)
 
 
 @contextmanager
