@@ -11,8 +11,7 @@ import tempfile
 from pathlib import Path
 
 import mimic
-from mimic.config.sysid import CalibrateSettings, LogSettings
-from mimic.flows.logs.machine_log import LogMotion
+from mimic.config.sysid import CalibrateSettings, LogMotion, LogSettings
 
 PENDULUM = """
 <mujoco model="pendulum">

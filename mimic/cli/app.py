@@ -8,6 +8,7 @@ import shlex
 import sys
 from collections.abc import Mapping
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_origin
 
@@ -110,7 +111,6 @@ COMMANDS = {
         "Play all files of a folder in simulation, into one table.",
         "mimic batch videos/ -o out",
         "mimic batch videos/ -o out --workers 8",
-        "mimic batch videos/ -o out --ray auto",
     ),
     "export": (
         "mimic.cli.export:export",
@@ -126,12 +126,6 @@ COMMANDS = {
         "Open the Rerun scene of a run.",
         "mimic view runs/video",
         "mimic view runs/video --web",
-    ),
-    "lead": (
-        "mimic.cli.lead:lead",
-        "Lead a simulated robot by the hand.",
-        "mimic lead --direction 30 --video lead.mp4",
-        "mimic lead --toe right --most 6 --speed 0.15",
     ),
     "evaluate": (
         "mimic.cli.evaluate:evaluate",
@@ -347,9 +341,9 @@ def _with_config(arguments: list[str]) -> list[str]:
                 raise ConfigError("--config needs a file, such as --config mimic.toml")
             value = rest[0]
             rest = rest[1:]
-        from mimic.cli.settings_file import config_of
+        from mimic.cli.settings_file import apply_settings, read_settings
 
-        app.config = config_of(Path(value))
+        app.config = (partial(apply_settings, read_settings(Path(value))),)
         return [*arguments[:index], *rest]
     return arguments
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from mimic.cli import options as o
 from mimic.cli.terminal.console import ConsoleReporter, table, warn
@@ -19,8 +19,6 @@ def batch(
     *,
     out: o.RequiredOut,
     workers: int = 0,
-    ray: str | None = None,
-    export: Literal["lerobot"] | None = None,
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
     run: Annotated[o.Run, o.only("run", "policy", "seed", "early")] = None,
     robot: Annotated[o.Effects, o.only("robot", "robot_model", "effects")] = None,
@@ -37,26 +35,15 @@ def batch(
         Folder for summary.html, summary.parquet and a folder for each file.
     workers
         Processes; 0: one per core.
-    ray
-        Play on a Ray cluster at this address, such as auto or 10.0.0.5:6379; its nodes need the same paths.
-    export
-        Also write all runs as one LeRobotDataset v3, into OUT/lerobot.
     """
     from mimic.flows.batch import batch as play_folder
 
     settings = o.input_settings(pose=pose, stored=stored, retarget=retarget)
-    done = play_folder(
-        folder, out, settings, run=run, effects=robot, workers=workers, ray=ray, reporter=ConsoleReporter()
-    )
-    if export is not None and not done.interrupted and any(row["status"] != "failed" for row in done.rows):
-        from mimic.flows.export import export_batch
-
-        dataset = export_batch(out, reporter=ConsoleReporter())
-        return _show(done, f", {dataset}")
+    done = play_folder(folder, out, settings, run=run, effects=robot, workers=workers, reporter=ConsoleReporter())
     return _show(done)
 
 
-def _show(done: Batch, more: str = "") -> int:
+def _show(done: Batch) -> int:
     failed = done.with_status("failed")
     fell = done.with_status("fell")
     for row in failed:
@@ -74,7 +61,7 @@ def _show(done: Batch, more: str = "") -> int:
         figures["clamped"] = f"{sum(clamped) / len(clamped):.1%} of the targets"
     if played:
         figures["fell"] = f"{len(fell)}"
-    table("Batch", figures | {"written": f"{done.page}, {done.summary}{more}"})
+    table("Batch", figures | {"written": f"{done.page}, {done.summary}"})
     if done.interrupted:
         return STOPPED
     if failed:

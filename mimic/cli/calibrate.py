@@ -96,8 +96,6 @@ def _show(result: Calibration, written: list[Path]) -> None:
     stages = {"as given": result.nominal, "baseline fitted": result.baseline, "final": result.final}
     columns = {name: e.held_out for name, e in stages.items()}
     show_errors("Held-out error", result.joints, {**columns, "noise floor": result.noise}, unit)
-    if result.logs:
-        _show_logs(result, unit)
     found = _found(result)
     if found:
         table("Found", found)
@@ -106,24 +104,6 @@ def _show(result: Calibration, written: list[Path]) -> None:
     for line in result.experiments:
         note(f"log next: {line}")
     note(f"wrote {', '.join(map(str, written))} ({result.passes} passes, {result.seconds:.0f} s)")
-
-
-def _show_logs(result: Calibration, unit: Unit) -> None:
-    """Print the error of each log."""
-    from mimic.sysid.result import Errors
-    from mimic.view.report.svg import figure
-
-    rows = {}
-    for log in result.logs:
-        columns: dict[str, FloatArray | None] = {"baseline fitted": log.baseline, "final": log.final}
-        if any(one.left_out_final is not None for one in result.logs):
-            columns["baseline, fitted to the others"] = log.left_out_baseline if log.fitted else log.baseline
-            columns["final, fitted to the others"] = log.left_out_final if log.fitted else log.final
-        rows[log.name + ("" if log.fitted else " (held out)")] = {
-            name: "" if values is None else figure(unit.factor * Errors.total(values))
-            for name, values in columns.items()
-        }
-    matrix(f"Error of each log [{unit.name}]", rows, as_is=True)
 
 
 def show_errors(title: str, joints: Sequence[str], columns: Mapping[str, FloatArray], unit: Unit) -> None:

@@ -12,7 +12,7 @@ from mimic.cli.terminal.console import ConsoleReporter, table
 from mimic.cli.terminal.exit_status import DONE
 from mimic.config.play import DEFAULT_ROBOT
 
-Format = Literal["lerobot", "csv", "npz", "mjlab", "gmr", "mcap", "rl_sar", "unitree_rl_lab"]
+Format = Literal["lerobot", "csv", "npz", "mcap", "rl_sar", "unitree_rl_lab"]
 
 
 def export(
@@ -31,11 +31,11 @@ def export(
     source
         Folder of a run, or of a batch; each run of a batch becomes an episode. A policy for rl_sar or unitree_rl_lab.
     out
-        Folder of the dataset or policy, or file (.csv; .npz for npz and mjlab; .pkl for gmr; .mcap).
+        Folder of the dataset or policy, or file (.csv, .npz, .mcap).
     form
-        lerobot: a LeRobotDataset v3 with state, action and video; csv, npz: every column of the log;
-        mjlab, gmr: joints and base as a motion file of these programs; mcap: joints, links and targets as messages of
-        ROS 2; rl_sar, unitree_rl_lab: a policy with the settings file of these programs.
+        lerobot: a LeRobotDataset v3 with state, action and video; csv, npz: every column of the log; mcap: joints,
+        links and targets as messages of ROS 2; rl_sar, unitree_rl_lab: a policy with the settings file of these
+        programs.
     video
         Add a film of the robot, one frame for each row (lerobot).
     robot_model

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -18,11 +17,7 @@ def simulate(
     out: o.RequiredOut,
     effects: Path | None = None,
     model: Path | None = None,
-    motion: Literal["probe", "random"] = "probe",
-    seconds: float = 120.0,
-    amplitude: float = 1.0,
-    kp: float | None = None,
-    kd: float | None = None,
+    motion: o.LogMotion = None,
     settings: o.SimulatedLog = None,
 ) -> int:
     """Write the log of a simulated machine with hidden effects, as a real one would be logged.
@@ -35,21 +30,10 @@ def simulate(
         effects.toml of the machine; default: no effects.
     model
         MJCF of the machine, base fixed; default: the suspended CyberDog 2.
-    motion
-        probe shows every effect; random is for a second log.
-    seconds
-        Length [s].
-    amplitude
-        Share of the joints' ranges that the motion uses.
-    kp
-        Position gain of the drives [N m/rad]; default: the model's.
-    kd
-        Velocity gain of the drives [N m s/rad]; default: the model's.
     """
-    from mimic.flows.logs.machine_log import LogMotion, simulate_log
+    from mimic.flows.logs.machine_log import simulate_log
 
-    moved = LogMotion(kind=motion, seconds=seconds, amplitude=amplitude, kp=kp, kd=kd)
-    log = simulate_log(effects, model, moved, settings, out=out, reporter=ConsoleReporter())
+    log = simulate_log(effects, model, motion, settings, out=out, reporter=ConsoleReporter())
     note(f"wrote {out}: {len(log.t)} readings of {len(log.joints)} joints; to explain it: mimic calibrate {out}")
     return DONE
 
@@ -79,24 +63,18 @@ def replay(
         JSON file for the errors.
     """
     from mimic.cli.calibrate import show_errors
-    from mimic.flows.logs.machine_log import NO_EFFECTS, predict_log
+    from mimic.flows.logs.machine_log import predict_log
     from mimic.view.report.plots import unit_of_size
 
     found = predict_log(log, effects, model, whole=whole, out=out, reporter=ConsoleReporter())
     for text in found.warnings:
         warn(text)
     unit = unit_of_size(max(e["all"] for e in found.errors.values()), found.unit)
-    columns = zip([NO_EFFECTS, *_short(effects)], (e["rms"] for e in found.errors.values()), strict=True)
-    show_errors("Error", found.joints, {**dict(columns), "noise floor": found.noise}, unit)
+    columns = {name: e["rms"] for name, e in found.errors.items()}
+    show_errors("Error", found.joints, {**columns, "noise floor": found.noise}, unit)
     if out is not None:
         note(f"wrote {out}")
     return DONE
-
-
-def _short(files: Sequence[Path]) -> list[str]:
-    """Return the shortest names of files that tell them apart, for headings."""
-    ways = ([f.name for f in files], [f.parent.name for f in files], [str(f) for f in files])
-    return next(names for names in ways if len(set(names)) == len(names) or names is ways[-1])
 
 
 def salvage(run: Path, /) -> int:

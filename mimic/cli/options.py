@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from mimic.config.emulator import EmulateSettings
+from mimic.config import sysid
+from mimic.config.emulator import EmulateSettings, ServeOptions
 from mimic.config.hardware import (
     BusSettings,
     DriveSettings,
@@ -18,7 +19,6 @@ from mimic.config.hardware import (
     ProbeSettings,
     WiringSettings,
 )
-from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
@@ -77,7 +77,9 @@ Look = Annotated[LookSettings | None, _group("Robot", 3)]
 WiringFile = Annotated[WiringSettings | None, _group("Robot", 3)]
 Probe = Annotated[ProbeSettings | None, _group("Motion", 2)]
 Calibrate = Annotated[CalibrateSettings | None, _group("Calibration", 2)]
+LogMotion = Annotated[sysid.LogMotion | None, Parameter(name="*")]
 SimulatedLog = Annotated[LogSettings | None, _group("Readings", 3)]
+Serve = Annotated[ServeOptions | None, Parameter(name="*")]
 Emulate = Annotated[EmulateSettings | None, _group("Emulated robot", 2)]
 
 SECTIONS: Mapping[str, type] = {
@@ -90,8 +92,6 @@ SECTIONS: Mapping[str, type] = {
     "camera": LiveSettings,
     "robot": BusSettings,
     "probe": ProbeSettings,
-    "lead": HandSettings,
-    "answer": LeadingSettings,
     "calibrate": CalibrateSettings,
     "log": LogSettings,
     "emulate": EmulateSettings,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -122,7 +122,7 @@ def _timing_rows(done: RobotRun) -> dict[str, str]:
     lost = int(np.count_nonzero(health.missed))
     return {
         "robot": done.bus_url,
-        **({"bus load": _load_row(done.load, done.expected_load)} if done.load else _command_row(done)),
+        **_load_row(done.load),
         "compute time": f"{np.nanmedian(compute):.1f} ms a tick, {np.nanquantile(compute, 0.99):.1f} ms p99",
         "tick overruns": f"{np.nanquantile(late, 0.99):.1f} ms p99; {(late > 2.0).sum()} by more than 2 ms, "
         f"{(late > 10.0).sum()} by more than 10 ms",
@@ -130,17 +130,10 @@ def _timing_rows(done: RobotRun) -> dict[str, str]:
     }
 
 
-def _command_row(done: RobotRun) -> dict[str, str]:
-    health = done.saved.run.health
-    late = int(np.count_nonzero(np.nan_to_num(health.err_flag).astype(int) & 1))
-    gap = 1e3 * float(np.max(np.nan_to_num(health.command_gap), initial=0.0))
-    if not gap:  # a board that says nothing of the commands it gets
-        return {}
-    return {"late commands": f"{late} ticks with error 0x01; longest time without a command {gap:.0f} ms"}
-
-
-def _load_row(load: Sequence[float], expected: Sequence[float]) -> str:
-    return ", ".join(f"{a:.1%} (estimated {b:.1%})" for a, b in zip(load, expected, strict=True))
+def _load_row(load: Iterable[float]) -> dict[str, str]:
+    """Return the measured load of each bus; none of a robot with a board."""
+    shares = [f"{share:.1%}" for share in load]
+    return {"bus load": ", ".join(shares)} if shares else {}
 
 
 def scan(bus_url: o.BusUrl, /, *, bus: o.WiringFile = None) -> int:
@@ -372,7 +365,7 @@ def probe(
     rows = {
         "rows": f"{len(result.log.t)} in {result.log.duration:.1f} s, {result.log.rate:.0f} Hz",
         "missing": f"{result.missing:.2%} of the readings asked for",
-        **({"bus load": _load_row(list(result.load), list(result.expected))} if len(result.load) else {}),
+        **_load_row(result.load),
         "written": str(path),
         "next": f"mimic calibrate {path}",
     }

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, get_args, get_type_hints
@@ -55,11 +55,6 @@ def apply_settings(given: Given, app: App, commands: tuple[str, ...], arguments:
                 child.append(Token(implicit_value=values[child.keys[-1]], source="--config"))
 
 
-def config_of(path: Path | None) -> tuple[Any, ...]:
-    """Return what the parser calls to fill settings from a file."""
-    return () if path is None else (partial(apply_settings, read_settings(path)),)
-
-
 def _groups(arguments: ArgumentCollection) -> list[tuple[str, Argument]]:
     """Return each group of settings among the arguments of a command, with its section."""
     found = []
@@ -107,14 +102,5 @@ def _template() -> list[str]:
             lines += [f"# {line}" for line in wrap(" ".join(helps.get(f.name, "").split()), 100)]
             value = getattr(defaults, f.name)
             unset = f"# {f.name} = ...  # {expected(hints[f.name])}"
-            lines.append(unset if value is None else f"{f.name} = {_toml(value)}")
+            lines.append(unset if value is None else f"{f.name} = {json.dumps(value, default=str, ensure_ascii=False)}")
     return lines
-
-
-def _toml(value: Any) -> str:
-    """Return a default as TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    return f'"{value}"' if isinstance(value, (str, Path)) else repr(value)

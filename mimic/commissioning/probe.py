@@ -26,7 +26,6 @@ from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.errors import PlantError
 from mimic.frozen import frozen_arrays
 from mimic.geometry import smoothstep
-from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.robot.plant import Robot
 from mimic.io.joint_log import JointLog
@@ -45,8 +44,6 @@ class ProbeResult:
     """Share of the requested readings that are missing."""
     load: FloatArray
     """Measured share of time that each bus was busy during the motion (buses,); empty for a stock robot."""
-    expected: FloatArray
-    """Expected share, estimated from the rates (buses,)."""
 
 
 def probe(
@@ -199,10 +196,8 @@ class _Rows:
                 "ended": "" if ended is None else ended.text,
             },
         )
-        expected = np.zeros(0) if wiring is None else expected_load(wiring, settings.rate_hz)
         load = (reports["busy"][-1] - reports["busy"][0]) / (reports["t"][-1] - reports["t"][0])
-        load = load[np.isfinite(load)]
-        return ProbeResult(log=log, ended=ended, missing=missing, load=load, expected=expected)
+        return ProbeResult(log=log, ended=ended, missing=missing, load=load[np.isfinite(load)])
 
 
 def _first_known(values: FloatArray) -> FloatArray:

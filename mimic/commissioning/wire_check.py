@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from mimic.commissioning.scan import BusScan
 from mimic.commissioning.watching import Watcher, newest
 from mimic.errors import PlantError
-from mimic.frozen import frozen
 from mimic.hardware.can.frame import Link
 from mimic.hardware.can.wiring import Wiring
 from mimic.records import JOINTS, FloatArray
@@ -52,22 +51,6 @@ _LEGS = {"FL": "left front", "FR": "right front", "RL": "left hind", "RR": "righ
 
 Say = Callable[[str], None]
 """Tells the person what to do now."""
-
-
-def instruction(joint: str) -> str:
-    """Return what to do to a joint so that its angle rises."""
-    leg, part = joint.split("_")
-    return MOTIONS[part].format(leg=_LEGS[leg])
-
-
-@frozen
-class Moved:
-    """A motor that was moved by hand."""
-
-    place: int
-    """Its place among the motors that were found."""
-    turn: float
-    """By how much its reading changed [rad]."""
 
 
 class WireCheck:
@@ -141,13 +124,14 @@ class WireCheck:
             before = now
         raise PlantError(f"nothing was seen for {PATIENCE:.0f} s while you should {what}; begin again")
 
-    def joint(self, joint: str, say: Say) -> Moved:
-        """Let a person move one joint, and return the motor that turned.
+    def joint(self, joint: str, say: Say) -> tuple[int, float]:
+        """Let a person move one joint; return the place of the motor that turned, and by how much [rad].
 
         Raises:
             PlantError: If no motor turns, or more than one.
         """
-        what = instruction(joint)
+        leg, part = joint.split("_")
+        what = MOTIONS[part].format(leg=_LEGS[leg])  # so that its angle rises
         begin, _ = self._look()
         say(f"{joint}: {what}, and hold it there.")
         q, _ = self._wait(lambda q, _: bool(np.abs(q - begin).max() > MOVED), what)
@@ -157,7 +141,7 @@ class WireCheck:
         if others:
             names = ", ".join(self.name(i) for i in (place, *others))
             raise PlantError(f"{joint}: {names} turned together; move this joint alone and hold the others")
-        return Moved(place=place, turn=float(turn[place]))
+        return place, float(turn[place])
 
     def joints(self, say: Say) -> tuple[list[int], FloatArray]:
         """Let a person move every joint, and return the motor of each (12) and its sign (12,).
@@ -168,13 +152,13 @@ class WireCheck:
         places: list[int] = []
         signs = np.ones(len(JOINTS))
         for index, joint in enumerate(JOINTS):
-            moved = self.joint(joint, say)
-            if moved.place in places:
-                before = JOINTS[places.index(moved.place)]
-                raise PlantError(f"{joint}: {self.name(moved.place)} turned, which turned for {before} already")
-            places.append(moved.place)
-            signs[index] = np.sign(moved.turn)
-            say(f"    {self.name(moved.place)}, sign {signs[index]:+.0f}")
+            place, turn = self.joint(joint, say)
+            if place in places:
+                before = JOINTS[places.index(place)]
+                raise PlantError(f"{joint}: {self.name(place)} turned, which turned for {before} already")
+            places.append(place)
+            signs[index] = np.sign(turn)
+            say(f"    {self.name(place)}, sign {signs[index]:+.0f}")
         return places, signs
 
     def imu(self, say: Say) -> FloatArray:

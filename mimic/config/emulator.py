@@ -2,8 +2,32 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
 from mimic.config.ranges import Limited, within
 from mimic.frozen import frozen
+
+
+@frozen
+class ServeOptions(Limited):
+    """Where and how long the robot is served."""
+
+    listen: str = "127.0.0.1:29536"
+    """Address for socketcand; port 0 takes a free one. Keep it on this computer: whoever reaches it moves the robot."""
+    slcan: bool = False
+    """Also offer each bus as a serial adapter (slcan) on a pseudo-terminal, like a USB adapter."""
+    buses: int = 1
+    """Number of buses."""
+    wiring: Path | None = None
+    """Wiring file; default: the shipped one."""
+    fault: tuple[str, ...] = ()
+    """Faults to inject: KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5, in seconds of the
+    emulation, or with + since the first motor was switched on. An unknown kind prints the list."""
+    seconds: float | None = within(None, 0.0, math.inf, "s")
+    """End after this time [s]; default: at Ctrl-C."""
+    every: float = within(10.0, 0.0, math.inf, "s")
+    """Interval of the status lines [s]; 0 for none."""
 
 
 @frozen

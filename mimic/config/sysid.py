@@ -33,6 +33,22 @@ class CalibrateSettings(Limited):
 
 
 @frozen
+class LogMotion(Limited):
+    """The motion of a simulated log."""
+
+    motion: Literal["probe", "random"] = "probe"
+    """probe shows every effect; random is for a second log."""
+    seconds: float = 120.0
+    """Length [s]."""
+    amplitude: float = 1.0
+    """Share of the joints' ranges that the motion uses."""
+    kp: float | None = within(None, 0.0, 1e9, "N m/rad")
+    """Position gain of the drives [N m/rad]; default: the model's."""
+    kd: float | None = within(None, 0.0, 1e9, "N m s/rad")
+    """Velocity gain of the drives [N m s/rad]; default: the model's."""
+
+
+@frozen
 class LogSettings(Limited):
     """How a log is simulated."""
 

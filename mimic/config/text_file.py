@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import json
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,7 @@ def from_json(text: str | bytes) -> Any:
     Raises:
         ValueError: If it is none, or is nested too deeply.
     """
-    try:
-        return _shallow(json.loads(text))
-    except RecursionError:
-        raise _too_deep() from None
+    return _read(json.loads, text)
 
 
 def from_toml(text: str) -> dict[str, Any]:
@@ -33,27 +31,29 @@ def from_toml(text: str) -> dict[str, Any]:
     Raises:
         ValueError: If it is none, or is nested too deeply.
     """
+    return _read(tomllib.loads, text)
+
+
+def _read(loads: Callable[[Any], Any], text: str | bytes) -> Any:
     try:
-        return _shallow(tomllib.loads(text))
+        whole = loads(text)
     except RecursionError:
-        raise _too_deep() from None
+        whole = None
+    else:
+        if _shallow(whole):
+            return whole
+    raise ValueError(f"it is nested too deeply; expected at most {DEEPEST} levels")
 
 
-def _shallow(whole: Any) -> Any:
+def _shallow(whole: Any) -> bool:
     level: list[Any] = [whole]
     for _ in range(DEEPEST):
         parts: list[Any] = []
         for table in level:
             if isinstance(table, dict | list):  # pyrefly: ignore[implicit-any-type-argument]
                 parts += table.values() if isinstance(table, dict) else table
-        if not parts:
-            return whole
         level = parts
-    raise _too_deep()
-
-
-def _too_deep() -> ValueError:
-    return ValueError(f"it is nested too deeply; expected at most {DEEPEST} levels")
+    return not level
 
 
 def read_text(path: Path) -> str:

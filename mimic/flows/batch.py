@@ -8,7 +8,7 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,13 @@ from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.text_file import from_json
 from mimic.errors import ConfigError, MimicError, SourceError
 from mimic.flows.motions.motion import InputSettings, load_motion, playable, refuse_second_video
-from mimic.flows.play import load_robot, play, settings_of, shipped_sit_down
+from mimic.flows.play import load_robot, play, shipped_sit_down
 from mimic.flows.provenance import COMMAND, provenance
 from mimic.flows.reporter import Reporter, SilentReporter, reporting
 from mimic.flows.run_folder import METRICS, TARGETS, save_logs
 from mimic.frozen import frozen, frozen_arrays
 from mimic.io import store
-from mimic.jobs.local import Progress
+from mimic.jobs.local import Progress, results_here
 from mimic.version import __version__
 
 ITEMS = "items"
@@ -33,34 +33,34 @@ SUMMARY = "summary.parquet"
 PAGE = "summary.html"
 """Its table as a page."""
 
-ROW: Mapping[str, type] = {
-    "file": str,
-    "status": str,
-    "error": str,
-    "length_s": float,
-    "targets": int,
-    "clamped_share": float,
-    "moved_mean_cm": float,
-    "moved_max_cm": float,
-    "limited_share": float,
-    "filled_share": float,
-    "rows_with_person": float,
-    "wanted_to_reached_cm": float,
-    "toe_error_cm": float,
-    "toe_error_p95_cm": float,
-    "lag_s": float,
-    "toe_error_without_lag_cm": float,
-    "stand_up_s": float,
-    "standing_share": float,
-    "falls": int,
-    "knee_torque_rms_nm": float,
-    "minutes_to_limit": float,
-    "notes": str,
-    "seconds": float,
-    "folder": str,
-    "sha256": str,
-    "key": str,
-}
+ROW = (
+    "file",
+    "status",
+    "error",
+    "length_s",
+    "targets",
+    "clamped_share",
+    "moved_mean_cm",
+    "moved_max_cm",
+    "limited_share",
+    "filled_share",
+    "rows_with_person",
+    "wanted_to_reached_cm",
+    "toe_error_cm",
+    "toe_error_p95_cm",
+    "lag_s",
+    "toe_error_without_lag_cm",
+    "stand_up_s",
+    "standing_share",
+    "falls",
+    "knee_torque_rms_nm",
+    "minutes_to_limit",
+    "notes",
+    "seconds",
+    "folder",
+    "sha256",
+    "key",
+)
 """Columns of the table."""
 
 
@@ -108,7 +108,6 @@ def batch(
     run: RunSettings | None = None,
     effects: EffectsSettings | None = None,
     workers: int = 0,
-    ray: str | None = None,
     reporter: Reporter | None = None,
 ) -> Batch:
     """Play every video and motion file of a folder in simulation, into one table; go on where it was stopped.
@@ -122,7 +121,6 @@ def batch(
         run: How commands are played.
         effects: What a calibration found.
         workers: Processes; 0 takes one for each core.
-        ray: Address of a Ray cluster to play on instead.
         reporter: Receives notes and progress.
 
     Raises:
@@ -144,7 +142,7 @@ def batch(
         Job(
             source=path.resolve(),
             name=str(path.relative_to(folder)),
-            key=key_of(path, settings_text),
+            key=key_of(path, folder, settings_text),
             items=items,
             settings=settings,
             run=run,
@@ -159,7 +157,7 @@ def batch(
     interrupted = False
     try:
         with reporter.progress("files") as progress:
-            _play_all(jobs, rows, workers, ray, progress)
+            _play_all(jobs, rows, workers, progress)
     except KeyboardInterrupt:
         interrupted = True
         _sweep(items)
@@ -193,33 +191,15 @@ def _finished(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
     return {name: row for name, row in found.items() if row is not None}
 
 
-def _play_all(
-    jobs: Sequence[Job], rows: dict[str, dict[str, Any]], workers: int, ray: str | None, progress: Progress
-) -> None:
-    """Play the jobs that have no row, and add their rows; files of the same content are played once."""
-    twins: dict[str, list[Job]] = {}
-    for job in jobs:
-        if job.name not in rows:
-            twins.setdefault(job.key, []).append(job)
-    left = [same[0] for same in twins.values()]
+def _play_all(jobs: Sequence[Job], rows: dict[str, dict[str, Any]], workers: int, progress: Progress) -> None:
+    """Play the jobs that have no row, and add their rows."""
+    left = [job for job in jobs if job.name not in rows]
     progress(len(rows), len(jobs))
-    with closing(_results(left, workers, ray)) as results:
+    with closing(results_here(play_job, left, workers=workers)) as results:
         for at, result in results:
-            job = left[at]
-            row = result if isinstance(result, dict) else _failed(job, result.reason)
-            for twin in twins[job.key]:
-                rows[twin.name] = {**row, "file": twin.name}
+            row = result if isinstance(result, dict) else _failed(left[at], result.reason)
+            rows[row["file"]] = row
             progress(len(rows), len(jobs))
-
-
-def _results(jobs: list[Job], workers: int, ray: str | None) -> Generator[tuple[int, Any]]:
-    if ray is not None:
-        from mimic.jobs.ray import results_on_ray
-
-        return results_on_ray(play_job, jobs, address=ray)
-    from mimic.jobs.local import results_here
-
-    return results_here(play_job, jobs, workers=workers)
 
 
 def settings_key(settings: InputSettings, run: RunSettings, robot: EffectsSettings) -> str:
@@ -241,9 +221,9 @@ def settings_key(settings: InputSettings, run: RunSettings, robot: EffectsSettin
     return json.dumps(parts, sort_keys=True)
 
 
-def key_of(source: Path, settings_text: str) -> str:
-    """Return a key (SHA-256) that is the same as long as playing the file gives the same; its name has no say."""
-    parts = [store.sha256_of(source), source.suffix.lower(), settings_text]
+def key_of(source: Path, within: Path, settings_text: str) -> str:
+    """Return a key (SHA-256) that is the same as long as playing a file of a folder gives the same."""
+    parts = [store.sha256_of(source), str(source.relative_to(within)), settings_text]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
@@ -253,13 +233,10 @@ def _folder(job: Job) -> Path:
 
 def finished(job: Job) -> dict[str, Any] | None:
     """Return the row of a job that was finished before, None where it must be played."""
-    for folder in job.items.glob(f"*-{job.key[:12]}"):  # an equal file of another name may have been played
-        try:
-            row = from_json((folder / METRICS).read_text(encoding="utf-8"))["row"]
-        except (OSError, ValueError, KeyError):
-            continue
-        return {**row, "file": job.name}
-    return None
+    try:
+        return from_json((_folder(job) / METRICS).read_text(encoding="utf-8"))["row"]
+    except (OSError, ValueError, KeyError):
+        return None
 
 
 def play_job(job: Job) -> dict[str, Any]:
@@ -282,7 +259,7 @@ def _play(job: Job) -> dict[str, Any]:
     if done.result.error is not None:
         raise done.result.error
     made_by = provenance(
-        settings_of(job.settings) | {"run": job.run, "robot": job.robot}, {"source": job.source, **done.inputs}
+        vars(job.settings) | {"run": job.run, "robot": job.robot}, {"source": job.source, **done.inputs}
     )
     folder = _folder(job)
     part = folder.with_name(f".{folder.name}.{os.getpid()}.part")
@@ -349,10 +326,8 @@ def _write_summary(rows: Sequence[dict[str, Any]], out: Path, job: Job, *, unpla
 
     from mimic.view.report.batch import html_batch
 
-    kinds = {str: pa.string(), float: pa.float64(), int: pa.int64()}
-    schema = pa.schema([(name, kinds[kind]) for name, kind in ROW.items()])
     with store.written_whole(out / SUMMARY) as part:
-        pq.write_table(pa.Table.from_pylist([store.plain(row) for row in rows], schema=schema), part)
+        pq.write_table(pa.Table.from_pylist(store.plain(rows)), part)
     with store.written_whole(out / PAGE) as part:
         part.write_text(
             html_batch(list(rows), command=job.command, version=__version__, unplayed=unplayed), encoding="utf-8"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import pickle
 import re
-import shutil
+from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
     from mimic.io.lerobot import Episode
     from mimic.io.mcap_file import RosRun
 
-Format = Literal["lerobot", "csv", "npz", "mjlab", "gmr", "mcap"]
-ENDINGS = {"csv": ".csv", "npz": ".npz", "mjlab": ".npz", "gmr": ".pkl", "mcap": ".mcap"}
+Format = Literal["lerobot", "csv", "npz", "mcap"]
+ENDINGS = {"csv": ".csv", "npz": ".npz", "mcap": ".mcap"}
 """Ending of the file of each format that is a file."""
 FILES = (*ENDINGS.values(), ".parquet", ".zip", ".mp4")
 """Endings that no folder should have."""
@@ -41,6 +40,8 @@ ACTION = tuple(f"{name}.pos" for name in JOINTS)
 """Values of action: commanded joint positions [rad]."""
 COMMAND = tuple(f"{side}_toe.{axis}" for side in SIDES for axis in "xyz")
 """Values of observation.target: where the front toes should be, base axes [m]."""
+SEEN = "observation"
+"""What csv and npz leave out: a thousand numbers a tick."""
 PICTURE = (240, 320)
 """Height and width of the films of a dataset [px]."""
 
@@ -57,9 +58,8 @@ def export(
 
     Args:
         source: Folder of a run, or of a batch (each of its runs becomes an episode; lerobot only).
-        out: Folder of the dataset, or file (.csv, .npz, .pkl, .mcap).
-        form: lerobot (LeRobotDataset v3), csv or npz (every column of the log), mjlab (motion file, .npz), gmr
-            (motion file, .pkl) or mcap (ROS 2 messages).
+        out: Folder of the dataset, or file (.csv, .npz, .mcap).
+        form: lerobot (LeRobotDataset v3), csv or npz (every column of the log) or mcap (ROS 2 messages).
         video: Whether a dataset has a film of the robot, one frame for each row.
         reporter: Receives progress.
 
@@ -90,38 +90,14 @@ def export(
         with store.written_whole(out) as part:
             write_mcap(part, _messages(log))
         return 1
-    content = _motion(log, form, folders[0]) if form in ("mjlab", "gmr") else _columns(log)
     with store.written_whole(out) as part:
         if form == "csv":
-            _save_csv(part, content)
-        elif form == "gmr":
-            part.write_bytes(pickle.dumps(content))
+            _save_csv(folders[0] / LOG, part)
         else:
-            np.savez_compressed(part, **content)
+            names = [f.name for f in fields(log) if "axes" in f.metadata and f.name != SEEN]
+            arrays = {name: getattr(log, name) for name in names}
+            np.savez_compressed(part, joint_names=np.array(JOINTS), **arrays)
     return 1
-
-
-def export_batch(out: Path, *, video: bool = True, reporter: Reporter | None = None) -> Path:
-    """Write all runs of a batch as one dataset into its folder ``lerobot``, in place of an earlier one."""
-    folder = out / "lerobot"
-    if (folder / "meta" / "info.json").is_file():
-        shutil.rmtree(folder)
-    export(out, folder, video=video, reporter=reporter)
-    return folder
-
-
-def _motion(log: RunLog, form: Format, folder: Path) -> dict[str, Any]:
-    """Return a run as a motion file of mjlab or GMR, at equal time steps."""
-    from mimic.control.dropouts import fill_dropouts
-    from mimic.flows.motions.motion_layouts import gmr_motion, mjlab_motion
-
-    description = robot_of(log)
-    fps = _rate(log, folder)
-    ticks = _even_ticks(log, fps)
-    log = fill_dropouts(log, description)
-    if not all(np.isfinite(values).all() for values in (log.q, log.quat_WB, log.p_WB)):
-        raise AssetError(f"{folder / LOG} lacks joint positions or orientations; a motion has no gaps")
-    return (mjlab_motion if form == "mjlab" else gmr_motion)(log, ticks, fps, description)
 
 
 def _messages(log: RunLog) -> RosRun:
@@ -162,7 +138,10 @@ def _rate(log: RunLog, folder: Path) -> int:
 
 def _even_ticks(log: RunLog, fps: int) -> np.ndarray:
     """Return the rows of a log at equal time steps; a row that came late is that of the nearest tick."""
-    return _nearest(log.t, log.t[0] + np.arange(round(float(log.t[-1] - log.t[0]) * fps) + 1) / fps)
+    t = log.t
+    times = t[0] + np.arange(round(float(t[-1] - t[0]) * fps) + 1) / fps
+    right = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
+    return right - (times - t[right - 1] < t[right] - times)
 
 
 def _runs(source: Path) -> list[Path]:
@@ -174,44 +153,14 @@ def _runs(source: Path) -> list[Path]:
     return found
 
 
-def _columns(log: RunLog) -> dict[str, Any]:
-    """Return the arrays of a log by name, with the names of the joints."""
-    names = (
-        "t",
-        "phase",
-        "q",
-        "dq",
-        "tau",
-        "quat_WB",
-        "omega_B",
-        "p_WB",
-        "v_WB",
-        "p_BE",
-        "p_BE_des",
-        "v_des",
-        "heading_des",
-    )
-    arrays = {name: getattr(log, name) for name in (*names, "action", "q_des", "q_sent", "kp", "kd")}
-    return {**arrays, "joint_names": np.array(JOINTS), "dt": float(log.metadata.get("dt", np.median(np.diff(log.t))))}
-
-
-def _save_csv(path: Path, columns: dict[str, Any]) -> None:
+def _save_csv(log: Path, out: Path) -> None:
     """Write a row for each tick; a column has the name of its array and, behind points, of joint, side or axis."""
-    labels = {12: JOINTS, 4: tuple("wxyz"), 3: tuple("xyz"), 2: tuple("xy")}
-    table: dict[str, FloatArray] = {}
-    for name, values in columns.items():
-        if name in ("joint_names", "dt"):
-            continue
-        if values.ndim == 1:
-            table[name] = values
-        elif values.ndim == 2:
-            table |= {f"{name}.{label}": values[:, i] for i, label in enumerate(labels[values.shape[1]])}
-        else:
-            table |= {
-                f"{name}.{side}.{axis}": values[:, i, k] for i, side in enumerate(SIDES) for k, axis in enumerate("xyz")
-            }
-    head = ",".join(table)
-    np.savetxt(path, np.column_stack(list(table.values())), delimiter=",", header=head, comments="", fmt="%.9g")
+    import pyarrow.parquet as pq
+    from pyarrow import csv
+
+    table = pq.read_table(log)
+    names = [name for name in table.column_names if not name.startswith(SEEN)]
+    csv.write_csv(table.select(names), out, csv.WriteOptions(quoting_style="none"))
 
 
 def _export_dataset(folders: list[Path], out: Path, *, video: bool, reporter: Reporter) -> None:
@@ -252,11 +201,6 @@ def _episode(log: RunLog, folder: Path, fps: int, film_progress: Progress | None
             raise AssetError(f"{folder / LOG} lacks {name} in tick {row}; a dataset has no gaps")
     film = (lambda path: _film(path, log, ticks, fps, film_progress)) if film_progress else None
     return Episode(task=_task(folder), columns=columns, film=film)
-
-
-def _nearest(t: FloatArray, times: FloatArray) -> np.ndarray:
-    right = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
-    return right - (times - t[right - 1] < t[right] - times)
 
 
 def _film(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -211,6 +211,9 @@ def play_source(
     Raises:
         SourceError, AssetError, ConfigError, ContractError: If something cannot be used; nothing is written then.
     """
+    from mimic.policy.runtime import load_policy as policy_for
+    from mimic.simulation.plant import plant_options
+
     settings = settings or InputSettings()
     run = run or RunSettings()
     effects = effects or EffectsSettings()
@@ -230,10 +233,11 @@ def play_source(
             from mimic.view.scene.footage import Footage
 
             footage = stack.enter_context(Footage(file))
-        check_playable(run, effects)
+        plant_options(effects)  # refused before long work, as a policy
+        policy_for(run.policy, load_robot(effects.robot_model))
         motion = load_source(source, settings, reporter, load_robot(effects.robot_model))
         done = play(motion, settings=run, effects=effects, reporter=reporter)
-        parts = settings_of(settings) | {"run": run, "robot": effects}
+        parts = vars(settings) | {"run": run, "robot": effects}
         return save_run(done, folder, reporter, settings=parts, source=file, film=film, footage=footage)
 
 
@@ -312,7 +316,7 @@ def save_targets(
     motion = load_motion(source, settings, description=description, reporter=reporter)
     if motion.targets is None:
         raise SourceError(f"{source} holds commands without targets; to play them: mimic {source} --sim")
-    store.save(motion.targets, out, made_by=provenance(settings_of(settings), {"source": source}))
+    store.save(motion.targets, out, made_by=provenance(settings, {"source": source}))
     return motion
 
 
@@ -321,24 +325,6 @@ def load_source(source: Path | str, settings: InputSettings, reporter: Reporter,
     if isinstance(source, Path):
         return load_motion(source, settings, description=robot, reporter=reporter)
     return motion_from_text(source, settings, description=robot, reporter=reporter)
-
-
-def check_playable(run: RunSettings, effects: EffectsSettings) -> None:
-    """Raise what playing would raise of its policy and effects, before long work.
-
-    Raises:
-        AssetError, ConfigError, ContractError: If one of them cannot be used.
-    """
-    from mimic.policy.runtime import load_policy as policy_for
-    from mimic.simulation.plant import plant_options
-
-    plant_options(effects)
-    policy_for(run.policy, load_robot(effects.robot_model))
-
-
-def settings_of(settings: InputSettings) -> dict[str, Any]:
-    """Return the settings of an input by name, for provenance."""
-    return {f.name: getattr(settings, f.name) for f in fields(settings)}
 
 
 def warn_of_stand_effects(effects: EffectsSettings, reporter: Reporter) -> None:

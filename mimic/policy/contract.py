@@ -8,12 +8,13 @@ section III, with the gait clock of its public code.
 from __future__ import annotations
 
 import json
-from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Any, cast
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from mimic.config.text_file import from_json
+from mimic.config.values import made
 from mimic.errors import ContractError
 from mimic.geometry import heading_sin_cos, world_axes_in_base
 from mimic.records import JOINTS, FloatArray, IntArray
@@ -41,15 +42,12 @@ PAPER_TERMS = (
 AVERAGED = ("joint_position", "down", "forward", "velocity_command")
 """Terms that `slow_mean` averages."""
 
-REACHING_TERMS = (
-    *PAPER_TERMS,
+TERMS = (
+    *(term for term in PAPER_TERMS if term[0] != "toe_command"),
     ("gyro", 3),
     ("joint_velocity", 12),
     ("slow_mean", sum(width for name, width in PAPER_TERMS if name in AVERAGED)),
 )
-"""The same of policies that move the front legs to their goals themselves."""
-
-TERMS = tuple(term for term in REACHING_TERMS if term[0] != "toe_command")
 """The same of the policies that are trained now."""
 
 AHEAD = (0.0, 0.1, 0.2, 0.3)
@@ -126,12 +124,6 @@ TASK_GUIDE = {
 
 FRAME_SIZE = sum(width for _, width in TERMS)
 """Width of a frame of the policies that are trained now."""
-
-
-def term_columns(terms: tuple[tuple[str, int], ...], *names: str) -> IntArray:
-    """Return where terms stand in a frame, in the order of the names; none for a term that it lacks."""
-    at = [name for name, width in terms for _ in range(width)]
-    return np.array([i for name in names for i, other in enumerate(at) if other == name], dtype=np.int64)
 
 
 METADATA_KEY = "mimic_contract"
@@ -222,7 +214,8 @@ class PolicyContract:
 
     def columns(self, *names: str) -> IntArray:
         """Return where terms stand in a frame, in the order of the names; none for a term that it lacks."""
-        return term_columns(self.terms, *names)
+        at = [name for name, width in self.terms for _ in range(width)]
+        return np.array([i for name in names for i, other in enumerate(at) if other == name], dtype=np.int64)
 
     def to_json(self) -> str:
         """Return the contract as JSON, at full precision, with sentences on how to play the policy."""
@@ -238,18 +231,11 @@ class PolicyContract:
             ContractError: If it is no JSON or a field is missing or unknown.
         """
         try:
-            data = stored_fields(text)
-            missing = [f.name for f in fields(PolicyContract) if f.default is MISSING and f.name not in data]
-            if missing:
-                raise ValueError(f"it lacks {', '.join(missing)}")
-            data["terms"] = tuple((name, int(width)) for name, width in data["terms"])
-            data["once"] = tuple((name, int(width)) for name, width in data.get("once", ()))
-            data["noise"] = tuple((name, float(half)) for name, half in data.get("noise", ()))
-            values: dict[str, Any] = {
-                k: tuple(cast("list[Any]", v)) if isinstance(v, list) else v for k, v in data.items()
-            }
-            return PolicyContract(**values)
-        except (ValueError, TypeError, KeyError, AttributeError) as reason:
+            data = from_json(text)
+            one_for_all = {name: [data[name]] * len(JOINTS) for name in BY_JOINT if isinstance(data.get(name), float)}
+            own = {name: value for name, value in data.items() if name not in ("formulas", "how_to_play")}
+            return made(PolicyContract, own | one_for_all)
+        except (ValueError, TypeError, AttributeError) as reason:
             raise ContractError(f"the policy's contract cannot be read ({reason}); export the policy again") from None
 
     def check(self, description: RobotDescription) -> None:
@@ -264,7 +250,7 @@ class PolicyContract:
             )
         pairs = (
             ("joint order", self.joints, JOINTS),
-            ("observation terms", self.terms, self._known_terms()),
+            ("observation terms", self.terms, PAPER_TERMS if self.terms == PAPER_TERMS else TERMS),
             ("terms after the frames", self.once, ARM_TERMS if self.once else ()),
             ("control step", self.dt, description.dt),
             ("number of action scales", len(self.action_scale), len(JOINTS)),
@@ -281,12 +267,6 @@ class PolicyContract:
         high = np.array(self.q_max)
         if np.any(low < description.q_min - 1e-9) or np.any(high > description.q_max + 1e-9):
             raise ContractError("the policy may command joint positions outside this robot's limits; expected inside")
-
-    def _known_terms(self) -> tuple[tuple[str, int], ...]:
-        """Return the terms of this version that these should be."""
-        if self.terms in (PAPER_TERMS, REACHING_TERMS):
-            return self.terms
-        return TERMS
 
     def _check_numbers(self, description: RobotDescription) -> None:
         """Refuse numbers that no trained policy has, before they reach a motor."""
@@ -311,13 +291,6 @@ MAX_KP_RATIO = 5.0
 
 MAX_ACTION = 100.0
 """Actions are clipped at most to this; trained policies stay below 20."""
-
-
-def stored_fields(text: str) -> dict[str, Any]:
-    """Return the fields of a contract in JSON, complete or not, without its sentences; those of BY_JOINT as lists."""
-    data: dict[str, Any] = from_json(text)
-    one_for_all = {name: [data[name]] * len(JOINTS) for name in BY_JOINT if isinstance(data.get(name), int | float)}
-    return {name: value for name, value in data.items() if name not in ("formulas", "how_to_play")} | one_for_all
 
 
 def lead_time(contract: PolicyContract) -> float:

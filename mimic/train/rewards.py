@@ -81,11 +81,6 @@ def bells(square: Tensor, *shapes: tuple[float, float]) -> Tensor:
     return torch.stack([height * torch.exp(-square / width) for height, width in shapes]).sum(0)
 
 
-def alive(worlds: Tensor) -> Tensor:
-    """Return 1 in each control step, for worlds (N,)."""
-    return torch.ones_like(worlds)
-
-
 def height(base: Tensor, rising: Tensor, numbers: TrainingNumbers) -> Tensor:
     """Return exp(-(error / HEIGHT_WIDTH)^2), 0 to 1; above the full height nothing is an error.
 
@@ -205,14 +200,19 @@ def low(shapes: Tensor) -> Tensor:
     return (shapes < LOW).float().sum(-1)
 
 
-def action_rate(change: Tensor) -> Tensor:
-    """Return the sum of squared changes of the action (N, 12) [(unit of action)^2]. Source: legged_gym."""
-    return change.square().sum(-1)
+def squares(values: Tensor) -> Tensor:
+    """Return the sum of squares over the joints (N, 12). Source: legged_gym, whose torques are in N m.
+
+    Args:
+        values: Changes of the action [units of action], velocities [rad/s], accelerations [rad/s^2], or torques, all or
+            beyond the rated ones, each as a share of its motor's largest.
+    """
+    return values.square().sum(-1)
 
 
 def unrest(change: Tensor, resting: Tensor) -> Tensor:
-    """Return the same of the hind legs (N, 6), up to MOST_UNREST, where the robot should rest (N,)."""
-    return change.square().sum(-1).clamp(max=MOST_UNREST) * resting
+    """Return the sum of squared changes of the hind legs' action (N, 6), up to MOST_UNREST, while resting (N,)."""
+    return squares(change).clamp(max=MOST_UNREST) * resting
 
 
 def shuffle(speed: Tensor, contact: Tensor, resting: Tensor) -> Tensor:
@@ -220,34 +220,14 @@ def shuffle(speed: Tensor, contact: Tensor, resting: Tensor) -> Tensor:
     return (speed.clamp(max=MOST_SHUFFLE) * contact).mean(-1) * resting
 
 
-def torque(shares: Tensor) -> Tensor:
-    """Return the sum of squared torques, each as a share of its motor's largest (N, 12). Source: legged_gym, in N m."""
-    return shares.square().sum(-1)
-
-
 def heat(torque: Tensor) -> Tensor:
-    """Return `torque` (N,) up to MOST_HEAT: it heats the windings."""
+    """Return the sum of squared torques (N,) up to MOST_HEAT: it heats the windings."""
     return torque.clamp(max=MOST_HEAT)
-
-
-def overload(shares: Tensor) -> Tensor:
-    """Return the sum of squared torques beyond the rated ones, as shares of the motors' largest (N, 12)."""
-    return shares.square().sum(-1)
-
-
-def joint_velocity(dq: Tensor) -> Tensor:
-    """Return the sum of squared joint velocities (N, 12) [rad^2/s^2]. Source: legged_gym."""
-    return dq.square().sum(-1)
 
 
 def joint_speed(dq: Tensor, limit: float) -> Tensor:
     """Return the sum of joint speeds (N, 12) beyond a limit [rad/s]. Source: legged_gym."""
     return torch.clamp(dq.abs() - limit, min=0.0).sum(-1)
-
-
-def joint_acceleration(ddq: Tensor) -> Tensor:
-    """Return the sum of squared joint accelerations (N, 12) [rad^2/s^4]. Source: legged_gym."""
-    return ddq.square().sum(-1)
 
 
 def limits(q: Tensor, low: Tensor, high: Tensor, own: Tensor) -> Tensor:

@@ -46,7 +46,7 @@ from mimic.train.disturbances import Disturbances
 from mimic.train.rewards import BEARS
 from mimic.train.schedules import ArmSchedule, MoveSchedule, TrunkSchedule
 from mimic.train.starts import Start, Starts
-from mimic.train.tensors import Chance, in_heading_frame, put, quat_multiply, quat_rotate
+from mimic.train.tensors import Chance, in_heading_frame, put, quat_apply_inverse, quat_multiply
 from mimic.train.weights import REWARD_SCALE, passed, weights_at
 from mimic.train.worlds import Worlds
 
@@ -211,8 +211,8 @@ class StandTrackEnv(VecEnv, Chance):
         self._anchor = zeros(2)
         self._slow = zeros(len(self._averaged))
         self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
-        self._rest_share = torch.full((1,), self._passed(self.settings.rest_steps), device=device)
-        weights = self._weights_now()
+        self._rest_share = torch.full((1,), passed(self._calls, self.settings.rest_steps), device=device)
+        weights = weights_at(self.settings, self._calls, self._ramp)
         self._rewarded = list(weights)
         self._weights = torch.tensor(list(weights.values()), device=device)
         self._log: dict[str, Tensor] = {}
@@ -221,7 +221,7 @@ class StandTrackEnv(VecEnv, Chance):
         """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
         self._calls = 240 * (steps // 240)
         begin = self.settings.curriculum_latest
-        self._ramp = self._passed((begin, begin + self.settings.curriculum_steps))
+        self._ramp = passed(self._calls, (begin, begin + self.settings.curriculum_steps))
 
     def progress(self) -> dict[str, Any]:
         """Return how far the curriculum has come."""
@@ -292,7 +292,7 @@ class StandTrackEnv(VecEnv, Chance):
         self._actions.copy_(actions)
         if self._calls % 240 == 0:
             self._set_difficulty()
-            self._weights.copy_(torch.tensor(list(self._weights_now().values())))
+            self._weights.copy_(torch.tensor(list(weights_at(self.settings, self._calls, self._ramp).values())))
         self._before()
         self.worlds.step()
         self._after()
@@ -422,16 +422,10 @@ class StandTrackEnv(VecEnv, Chance):
         self._reset(self._done)
         self._observe(self._done, low)
 
-    def _weights_now(self) -> dict[str, float]:
-        return weights_at(self.settings, self._calls, self._ramp)
-
-    def _passed(self, steps: tuple[float, float]) -> float:
-        return passed(self._calls, steps)
-
     def _set_difficulty(self) -> None:
         """Set what grows as the robot learns to stand, and how far it has grown: ``_ramp``, 0 to 1."""
         s = self.settings
-        rests = self._passed(self.settings.rest_steps)
+        rests = passed(self._calls, self.settings.rest_steps)
         ends = float(self._log["all/ends"]) if self._log else 1.0  # waits for the device
         if self._calls and (ends < s.curriculum_ends or self._calls > s.curriculum_latest):
             self._ramp = min(self._ramp + 240 / s.curriculum_steps, 1.0)
@@ -481,7 +475,7 @@ class StandTrackEnv(VecEnv, Chance):
         overload = self._own * torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak
         terms = self._efforts()
         terms |= {
-            "alive": rewards.alive(height),
+            "alive": torch.ones_like(height),
             "height": rewards.height(height, rising, numbers),
             "upright": rewards.upright(self._up, rising, self._lying_angle),
             "velocity": rewards.velocity(sway, self._velocity() - self.moves.wanted, standing),
@@ -496,7 +490,7 @@ class StandTrackEnv(VecEnv, Chance):
             "unrest": rewards.unrest(change, resting),
             "shuffle": rewards.shuffle(toes.speed, toes.contact, resting),
             "heat": rewards.heat(terms["torque"]) * ~pulled,
-            "overload": rewards.overload(overload),
+            "overload": rewards.squares(overload),
             "fall": ended.float(),
         }
         figures = self._standing_figures(tracking, toes, change, drift, terms["fall"])
@@ -580,11 +574,11 @@ class StandTrackEnv(VecEnv, Chance):
         ddq = torch.where((self.episode_length_buf > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
         dq = dq.clamp(-50, 50)
         return {
-            "action_rate": rewards.action_rate(own * (self._last_action - self._before_last)),
-            "torque": rewards.torque(own * w.motor_torque / self._peak),
-            "joint_velocity": rewards.joint_velocity(dq),
+            "action_rate": rewards.squares(own * (self._last_action - self._before_last)),
+            "torque": rewards.squares(own * w.motor_torque / self._peak),
+            "joint_velocity": rewards.squares(dq),
             "joint_speed": rewards.joint_speed(dq, self.description.training.joint_speed),
-            "joint_acceleration": rewards.joint_acceleration(ddq),
+            "joint_acceleration": rewards.squares(ddq),
             "limits": rewards.limits(w.qpos[:, 7:], self._soft_min, self._soft_max, own),
         }
 
@@ -662,7 +656,7 @@ class StandTrackEnv(VecEnv, Chance):
         error = heading_error(read_quat, self.moves.heading, torch)
         gait = next_gait(self._gait, self.moves.velocity, error, self.contract, torch)
         self._gait.copy_(torch.where(self._rank < self._rest_share, gait, torch.ones_like(gait)))
-        omega = quat_rotate(self.disturbances.mount, w.qvel[:, 3:6], inverse=True) + self.disturbances.gyro_bias
+        omega = quat_apply_inverse(self.disturbances.mount, w.qvel[:, 3:6]) + self.disturbances.gyro_bias
         omega = without_pitch_rate(omega, trunk.asked[:, 1], rate.asked[:, 1], torch)
         frame = observation_frame(
             terms=self.contract.terms,
@@ -710,8 +704,8 @@ class StandTrackEnv(VecEnv, Chance):
             self._tracking().float()[:, None],
             torch.clamp(self.episode_length_buf.float() / STAND_UP_STEPS, max=2.0)[:, None],
             w.features,
-            quat_rotate(w.qpos[:, 3:7], self._floor_up, inverse=True),
-            quat_rotate(self._quat_WB, self._floor_up, inverse=True),
+            quat_apply_inverse(w.qpos[:, 3:7], self._floor_up),
+            quat_apply_inverse(self._quat_WB, self._floor_up),
             (self.disturbances.pull[..., :2] * 0.2).reshape(n, 4),
             self.disturbances.lost_share * 10,
             self._gait[:, None],

@@ -22,7 +22,7 @@ from mimic.policy.runtime import robot_file
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import MARGIN
 from mimic.simulation.plant import SimulatedPlant
-from mimic.train.tensors import Chance, quat_from_euler
+from mimic.train.tensors import Chance, quat_from_euler, quat_multiply
 
 TILT = 0.12
 """Largest extra pitch of an upright start [rad]."""
@@ -139,7 +139,10 @@ class Starts(Chance):
             row = torch.floor(self._uniform(0.0, 1.0) * LYING).long()
             limp = (~upright & (kind < self._shares[0]))[:, None]
             ramped = (~upright & (kind >= self._shares[0]) & (kind < self._shares[1]))[:, None]
-            lying = turned(torch.where(limp, self._limp[row], self._ramped[row]), heading)
+            level = torch.zeros_like(heading)
+            lying = torch.where(limp, self._limp[row], self._ramped[row])
+            quat = quat_multiply(quat_from_euler(level, level, heading), lying[:, 3:7])
+            lying = torch.cat([lying[:, :3], quat, lying[:, 7:]], -1)
             qpos = torch.where(limp | ramped, lying, qpos)
             qvel = torch.where(limp | ramped, 0.0, qvel)
             command = torch.where(ramped, self._lie, qpos[:, 7:])
@@ -154,15 +157,6 @@ class Starts(Chance):
         q = torch.clamp(q, self._q_min + NEAREST, self._q_max - NEAREST)
         height = torch.where(upright, self._heights["upright"], self._heights["lie"]) + LIFTED + self._uniform(*above)
         return torch.cat([self._zeros(2), height[:, None], quat, q], -1)
-
-
-def turned(qpos: Tensor, heading: Tensor) -> Tensor:
-    """Return positions (N, 19) turned about up by heading (N,) [rad], about where the base is."""
-    w, x, y, z = qpos[:, 3:7].unbind(-1)
-    c = torch.cos(heading / 2)
-    s = torch.sin(heading / 2)
-    quat = torch.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], -1)
-    return torch.cat([qpos[:, :3], quat, qpos[:, 7:]], -1)
 
 
 SHARES = {"steady": 0.45, "rising": 0.1, "falling": 0.15, "lying": 0.1}

@@ -52,11 +52,10 @@ def quat_multiply(one: Tensor, other: Tensor) -> Tensor:
     return torch.cat([a * b - (v * u).sum(-1, keepdim=True), a * u + b * v + torch.linalg.cross(v, u)], -1)
 
 
-def quat_rotate(quat: Tensor, vector: Tensor, *, inverse: bool = False) -> Tensor:
-    """Return vectors (..., 3) turned by unit quaternions, or back."""
+def quat_apply_inverse(quat: Tensor, vector: Tensor) -> Tensor:
+    """Return vectors (..., 3) turned back by unit quaternions."""
     w = quat[..., :1]
-    axis = quat[..., 1:]
-    axis = -axis if inverse else axis
+    axis = -quat[..., 1:]
     twice = 2 * torch.linalg.cross(axis, vector)
     return vector + w * twice + torch.linalg.cross(axis, twice)
 

@@ -33,7 +33,7 @@ from mimic.robot.description import RobotDescription
 from mimic.robot.model import BASE, FLOOR, TOES
 from mimic.train.cuda_graphs import Replayed, ReplayedWarp
 from mimic.train.motors import WorldMotors
-from mimic.train.tensors import quat_rotate
+from mimic.train.tensors import quat_apply_inverse
 
 RANDOMISED = (
     "dof_frictionloss",
@@ -280,7 +280,7 @@ class Worlds:
         level = torch.tensor([1.0, 0.0, 0.0, 0.0], device=self.device)
         mixed = level + share * (self._own_slope - level)
         self.slope_quat.copy_(mixed / mixed.norm(dim=-1, keepdim=True))
-        self._gravity.copy_(quat_rotate(self.slope_quat, self._level, inverse=True))
+        self._gravity.copy_(quat_apply_inverse(self.slope_quat, self._level))
 
     @property
     def motor_torque(self) -> Tensor:

@@ -112,13 +112,6 @@ def test_a_row_holds_the_figures_of_its_own_folder(played):
 
 
 @pytest.mark.slow
-def test_equal_files_are_played_once(played):
-    found = rows(played[1])
-    assert found["one.npz"]["folder"] == found["deep/copy of one.npz"]["folder"]
-    assert len(list((played[1] / "items").iterdir())) == 2
-
-
-@pytest.mark.slow
 def test_the_page_stands_alone_and_shows_names_as_they_are(played):
     page = (played[1] / "summary.html").read_text()
     assert "two [b].npz" in page

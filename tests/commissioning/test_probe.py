@@ -19,6 +19,7 @@ from mimic.emulator.boards.board import EmulatedBoard
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import PlantError
+from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.interface import MotorMode
@@ -133,12 +134,13 @@ def test_the_bus_is_loaded_as_the_arithmetic_says(description):
         progress=lambda *_: seen.append((robot.now, robot.buses[0].bits)),
     )
     (begin, before), (end, after) = seen[0], seen[-1]
-    assert (after - before) / WIRING.bitrate / (end - begin) == pytest.approx(result.expected[0], rel=0.05)
-    assert result.load == pytest.approx(result.expected, rel=0.05)
+    expected = expected_load(WIRING, 200.0)
+    assert (after - before) / WIRING.bitrate / (end - begin) == pytest.approx(expected[0], rel=0.05)
+    assert result.load == pytest.approx(expected, rel=0.05)
     look = preflight(
         plant.link.driver.motor_bus, description, CheckOptions(rate_hz=200.0, suspended=True), trust_zeros=True
     )
-    assert f"{result.expected[0]:.0%}" in look[0].text
+    assert f"{expected[0]:.0%}" in look[0].text
 
 
 @pytest.mark.slow

@@ -157,8 +157,7 @@ def test_options_that_take_several_values_are_found() -> None:
 def prepared(tmp_path_factory: pytest.TempPathFactory, short_clip: Path) -> Path:
     """A folder with each file that the documented commands name; every video is short."""
     import mimic
-    from mimic.config.sysid import LogSettings
-    from mimic.flows.logs.machine_log import LogMotion
+    from mimic.config.sysid import LogMotion, LogSettings
     from mimic.io import store
     from mimic.records import LANDMARKS
 

@@ -33,7 +33,7 @@ def job(tmp_path: Path) -> Job:
     return Job(
         source=source,
         name=source.name,
-        key=key_of(source, settings_key(settings, QUICK, EffectsSettings())),
+        key=key_of(source, tmp_path, settings_key(settings, QUICK, EffectsSettings())),
         items=tmp_path / "items",
         settings=settings,
         run=QUICK,
@@ -48,7 +48,7 @@ def test_a_file_becomes_a_row_and_a_folder_and_is_finished_then(job):
     assert row["status"] == "done"
     (folder,) = job.items.iterdir()
     assert json.loads((folder / "metrics.json").read_text())["row"]["file"] == "someone.npz"
-    assert finished(job) == {**row, "file": "someone.npz"}
+    assert finished(job) == row
 
 
 def test_a_file_that_cannot_be_read_is_a_row_and_leaves_nothing(job, tmp_path):
@@ -62,4 +62,4 @@ def test_a_file_that_cannot_be_read_is_a_row_and_leaves_nothing(job, tmp_path):
 
 def test_another_setting_is_another_key(job):
     other = settings_key(InputSettings(), replace(QUICK, hold_last=1.0), EffectsSettings())
-    assert key_of(job.source, other) != job.key
+    assert key_of(job.source, job.source.parent, other) != job.key

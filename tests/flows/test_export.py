@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import pickle
 import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from scipy.spatial.transform import Rotation
 
 from mimic.cli import main
 from mimic.config.play import RunSettings
 from mimic.errors import AssetError, ConfigError, MissingExtra
-from mimic.flows.export import export, export_batch
+from mimic.flows.export import export
 from mimic.flows.motions.motion import motion_from_text
 from mimic.flows.play import play
 from mimic.flows.reporter import SilentReporter
 from mimic.flows.run_folder import save_logs, save_motion
 from mimic.io import store
-from mimic.io.assets import shipped
 from mimic.records import JOINTS, RunLog
 
 
@@ -73,8 +69,7 @@ def test_a_dataset_has_the_log_in_the_published_layout(run, log, tmp_path):
 
 
 def test_runs_of_a_batch_are_episodes_of_one_dataset(batch, log):
-    for _ in range(2):  # the second one takes the place of the first
-        export_batch(batch, video=False)
+    export(batch, batch / "lerobot", video=False)
     episodes = pq.read_table(batch / "lerobot/meta/episodes/chunk-000/file-000.parquet").to_pylist()
     rows = len(log.t)
     assert [row["length"] for row in episodes] == [rows, rows]
@@ -117,53 +112,14 @@ def test_csv_and_npz_have_every_column(run, log, tmp_path):
     assert arrays["joint_names"].tolist() == list(JOINTS)
 
 
-def test_an_mjlab_motion_has_the_layout_that_its_loader_reads(run, log, description, tmp_path):
-    """MotionLoader of mjlab takes these six arrays; bodies are all but the world, in the order of the MJCF."""
-    assert main(["export", str(run), "--format", "mjlab", "-o", str(tmp_path / "motion.npz")]) == 0
-    motion = np.load(tmp_path / "motion.npz")
-    model = mujoco.MjModel.from_xml_path(str(shipped("assets", "cyberdog2", "cyberdog2.xml")))
-    rows, bodies = len(log.t), model.nbody - 1
-    shapes = {"joint_pos": (rows, 12), "joint_vel": (rows, 12), "body_pos_w": (rows, bodies, 3)}
-    shapes |= {
-        "body_quat_w": (rows, bodies, 4),
-        "body_lin_vel_w": (rows, bodies, 3),
-        "body_ang_vel_w": (rows, bodies, 3),
-    }
-    assert {name: motion[name].shape for name in motion.files} == {"fps": (1,), **shapes}
-    assert motion["fps"][0] == 50
-    names = [model.joint(i).name for i in range(1, model.njnt)]
-    np.testing.assert_allclose(motion["joint_pos"], log.q[:, [JOINTS.index(name) for name in names]], atol=1e-6)
-    np.testing.assert_allclose(motion["body_pos_w"][:, 0], log.p_WB, atol=1e-6)
-    sign = np.sign(np.sum(motion["body_quat_w"][:, 0] * log.quat_WB, axis=-1, keepdims=True))
-    np.testing.assert_allclose(sign * motion["body_quat_w"][:, 0], log.quat_WB, atol=1e-6)
-    for name, of in (("joint_vel", "joint_pos"), ("body_lin_vel_w", "body_pos_w")):
-        slope = (motion[of][2:] - motion[of][:-2]) * 25.0
-        np.testing.assert_allclose(motion[name][1:-1], slope, atol=0.15 if name == "body_lin_vel_w" else 1e-3)
-    turn = Rotation.from_quat(motion["body_quat_w"][:, 0], scalar_first=True)
-    spin = (turn[2:] * turn[:-2].inv()).as_rotvec() * 25.0
-    np.testing.assert_allclose(motion["body_ang_vel_w"][1:-1, 0], spin, atol=0.1)  # at up to 5 rad/s
-
-
-def test_a_gmr_motion_has_the_layout_that_its_loader_reads(run, log, tmp_path):
-    """load_robot_motion of GMR takes these entries, and turns xyzw into wxyz."""
-    assert main(["export", str(run), "--format", "gmr", "-o", str(tmp_path / "motion.pkl")]) == 0
-    motion = pickle.loads((tmp_path / "motion.pkl").read_bytes())
-    assert set(motion) == {"fps", "root_pos", "root_rot", "dof_pos", "local_body_pos", "link_body_list"}
-    assert motion["fps"] == 50
-    np.testing.assert_allclose(motion["root_rot"][:, [3, 0, 1, 2]], log.quat_WB)
-    np.testing.assert_allclose(motion["root_pos"], log.p_WB)
-    assert motion["dof_pos"].shape == (len(log.t), 12)
-
-
 def test_what_cannot_be_exported_is_reported_and_nothing_is_written(run, batch, tmp_path):
     (tmp_path / "there").mkdir()
     for source, out, form, error, message in [
         (tmp_path / "there", "ds", "lerobot", AssetError, "there is no run in"),
         (run, "there", "lerobot", ConfigError, "exists; name another place"),
         (run, "a.txt", "csv", ConfigError, "ends with .csv"),
-        (run, "a.npz", "gmr", ConfigError, "ends with .pkl"),
         (run, "a.npz", "lerobot", ConfigError, "name of a folder"),
-        (batch, "a.npz", "mjlab", ConfigError, "holds 2 runs"),
+        (batch, "a.npz", "npz", ConfigError, "holds 2 runs"),
         (batch, "a.csv", "csv", ConfigError, "holds 2 runs"),
     ]:
         with pytest.raises(error, match=message):
@@ -171,12 +127,11 @@ def test_what_cannot_be_exported_is_reported_and_nothing_is_written(run, batch, 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "there"]
 
 
-@pytest.mark.parametrize(("form", "name"), [("lerobot", "ds"), ("mjlab", "m.npz"), ("gmr", "g.pkl")])
-def test_a_run_of_one_tick_is_no_motion(log, tmp_path, form, name):
+def test_a_run_of_one_tick_is_no_dataset(log, tmp_path):
     arrays = {f.name: getattr(log, f.name)[:1] for f in dataclasses.fields(log) if "axes" in f.metadata}
     store.save(dataclasses.replace(log, **arrays), tmp_path / "run/log.parquet", made_by=store.provenance())
     with pytest.raises(AssetError, match="has 1 tick"):
-        export(tmp_path / "run", tmp_path / name, form, video=False)
+        export(tmp_path / "run", tmp_path / "ds", video=False)
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 

@@ -24,8 +24,7 @@ from cyclopts import App
 
 import mimic
 from mimic.cli import HELP
-from mimic.config.sysid import CalibrateSettings, LogSettings
-from mimic.flows.logs.machine_log import LogMotion
+from mimic.config.sysid import CalibrateSettings, LogMotion, LogSettings
 
 HERE = Path(__file__).parent
 VIDEOS = HERE.parents[1] / "examples" / "videos"

@@ -93,7 +93,7 @@ def test_what_is_no_contract_is_reported(text):
 def test_a_contract_with_a_missing_field_is_refused_with_its_name(field, contract):
     data = json.loads(contract.to_json())
     del data[field]
-    with pytest.raises(ContractError, match=f"it lacks {field}"):
+    with pytest.raises(ContractError, match=f"{field} is missing"):
         PolicyContract.from_json(json.dumps(data))
 
 

@@ -17,7 +17,7 @@ torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
 from mimic.train.rewards import slip  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
-from mimic.train.tensors import quat_multiply, quat_rotate  # noqa: E402
+from mimic.train.tensors import quat_apply_inverse, quat_multiply  # noqa: E402
 
 RANGES = dataclasses.replace(
     UNDISTURBED,
@@ -99,15 +99,15 @@ def test_slope_payload_and_pull_are_those_of_the_simulation(description):
 def test_on_a_slope_down_is_seen_where_it_is(description):
     env = make(description, disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0)))
     seen = newest_frame(env)[env.contract.columns("down")]
-    gravity = quat_rotate(env.worlds.slope_quat, torch.tensor([[0.0, 0.0, -1.0]]), inverse=True)
-    expected = quat_rotate(env.worlds.qpos[:, 3:7], gravity, inverse=True)[0]
+    gravity = quat_apply_inverse(env.worlds.slope_quat, torch.tensor([[0.0, 0.0, -1.0]]))
+    expected = quat_apply_inverse(env.worlds.qpos[:, 3:7], gravity)[0]
     assert torch.allclose(seen, expected, atol=1e-5)
 
 
 def test_a_tilted_imu_sees_another_down(description):
     env = make(description, disturbances=dataclasses.replace(UNDISTURBED, imu_tilt=(3.0, 3.0)))
     seen = newest_frame(env)[env.contract.columns("down")].numpy()
-    true = quat_rotate(env.worlds.qpos[:, 3:7], torch.tensor([[0.0, 0.0, -1.0]]), inverse=True)[0].numpy()
+    true = quat_apply_inverse(env.worlds.qpos[:, 3:7], torch.tensor([[0.0, 0.0, -1.0]]))[0].numpy()
     angle = np.rad2deg(np.arccos(np.clip(seen @ true / np.linalg.norm(seen) / np.linalg.norm(true), -1, 1)))
     assert 0.0 < angle <= 3.01
     mount = env.disturbances.mount
@@ -183,6 +183,6 @@ def test_a_tilted_imu_shows_turning_about_its_own_axes_and_quiet_worlds_have_one
     env._observe(torch.ones(40, dtype=torch.bool), env.worlds.lowest())
     frames = env.get_observations()["policy"][:, : env.settings.history * env.contract.frame_size]
     seen = frames.reshape(40, env.settings.history, -1)[:, -1, env.contract.columns("gyro")] * 4
-    true = quat_rotate(d.mount, env.worlds.qvel[:, 3:6], inverse=True)
+    true = quat_apply_inverse(d.mount, env.worlds.qvel[:, 3:6])
     assert (seen - true).abs().max() <= 0.05 + 1e-5
     assert (seen - true).abs().max() > 0.03

@@ -97,34 +97,27 @@ def calibrate(
         unseen = usable[len(logs) :]
         result = explain(fitted, machine, settings, show, held_out=unseen, names=names)
     warnings = [line for _, _, lines in checked for line in lines]
-    files = {_log_name(i): Path(one) for i, one in enumerate(given) if isinstance(one, (str, Path))}
+    files = {f"log {i + 1}" if i else "log": Path(one) for i, one in enumerate(given) if isinstance(one, (str, Path))}
     if isinstance(model, (str, Path)):
         files["model"] = Path(model)
     name = names[0] if len(logs) == 1 else f"{len(logs)} logs: {', '.join(names[: len(logs)])}"
     result = _signed(result, name, warnings, store.plain(provenance(settings, files)))
     if out is not None:
-        of_file = isinstance(model, (str, Path)) and machine.drives.volts is None
-        save_calibration(result, out, (Path(model), machine) if of_file else None)  # type: ignore[arg-type]
+        source = files.get("model") if machine.drives.volts is None else None
+        save_calibration(result, out, source, machine)
     return result
 
 
-def _model_files(source: Path, machine: MachineModel, result: Calibration, folder: Path) -> list[Path]:
+def _write_models(source: Path, machine: MachineModel, result: Calibration, folder: Path) -> None:
     """Write the machine with its effects for other programs; what they cannot hold is named in ACTUATORS."""
     from mimic.dynamics.written_model import actuator_settings, write_mjcf
 
     settings = actuator_settings(machine, result.effects)
-    made = [folder / ACTUATORS]
     try:
         write_mjcf(source, machine, result.effects, folder / MODEL)
-        made.append(folder / MODEL)
     except AssetError as reason:
         settings[MODEL] = str(reason)
     store.save_json(settings, folder / ACTUATORS)
-    return made
-
-
-def _log_name(index: int) -> str:
-    return "log" if index == 0 else f"log {index + 1}"
 
 
 def _signed(result: Calibration, name: str, warnings: Sequence[str], made_by: dict[str, Any]) -> Calibration:
@@ -297,16 +290,14 @@ def _missing_gains(log: JointLog, machine: MachineModel) -> list[str]:
     return [f"the notes of the log lack {' and '.join(lacking)}; the model's values are used: {' and '.join(own)}"]
 
 
-def save_calibration(result: Calibration, out: Path, model: tuple[Path, MachineModel] | None = None) -> list[Path]:
+def save_calibration(result: Calibration, out: Path, source: Path | None, machine: MachineModel) -> None:
     """Write all files of a calibration, or none; effects and models only where log and model fit together.
 
     Args:
         result: The calibration.
         out: Folder.
-        model: An MJCF and the machine in it, which are then written with the effects for other programs.
-
-    Returns:
-        The files written.
+        source: An MJCF that is then written with the effects for other programs; None for a machine of no file.
+        machine: The machine in it.
     """
     from mimic.dynamics.effect_set import write_effects
     from mimic.io.joint_log import write_log
@@ -315,16 +306,15 @@ def save_calibration(result: Calibration, out: Path, model: tuple[Path, MachineM
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out, prefix=".part") as folder:
         part = Path(folder)
-        made = [write_report(result, part / REPORT)]
+        write_report(result, part / REPORT)
         store.save_json(result.to_json(), part / RESULT)
-        made.append(part / RESULT)
         if result.log_matches_model:
-            comment = (result.sentence, f"Made by: {COMMAND.get()}")
-            made.append(write_effects(result.effects, part / EFFECTS, comment))
-            made += _model_files(*model, result, part) if model is not None else []
+            write_effects(result.effects, part / EFFECTS, (result.sentence, f"Made by: {COMMAND.get()}"))
+            if source is not None:
+                _write_models(source, machine, result, part)
             if result.next_motion is not None and result.next_motion.tells:
-                made.append(write_log(result.next_motion.log, part / NEXT))
-        for name in (EFFECTS, MODEL, ACTUATORS, NEXT):
-            if part / name not in made:
-                (out / name).unlink(missing_ok=True)  # of an earlier log
-        return [file.replace(out / file.name) for file in made]
+                write_log(result.next_motion.log, part / NEXT)
+        for name in (REPORT, RESULT, EFFECTS, MODEL, ACTUATORS, NEXT):
+            (out / name).unlink(missing_ok=True)  # of an earlier log
+            if (part / name).is_file():
+                (part / name).replace(out / name)

@@ -14,7 +14,6 @@ from mimic.flows.reporter import Reporter
 from mimic.frozen import frozen
 
 if TYPE_CHECKING:
-    from mimic.dynamics.effect_set import EffectValues
     from mimic.dynamics.machine import MachineModel
     from mimic.io.joint_log import JointLog
     from mimic.sysid.result import Calibration
@@ -87,37 +86,34 @@ def compare(
 def _differences(first: Calibration, second: Calibration) -> list[Difference]:
     from mimic.dynamics.catalogue import unit_of
 
-    others = {effect.name: effect for effect in second.effects}
+    others = _values(second)
     differences = []
-    for effect in first.effects:
-        other = others.get(effect.name)
-        if other is None:
+    for key, (value, variance) in _values(first).items():
+        if key not in others:
             continue
-        for name, values in effect.values.items():
-            for j, joint in enumerate(effect.joints or ("",)):
-                if joint and joint not in other.joints:
-                    continue
-                k = other.joints.index(joint) if joint else 0
-                value = float(values[j])
-                theirs = float(other.values[name][k])
-                error = (_variance(effect, name, j) + _variance(other, name, k)) ** 0.5
-                differences.append(
-                    Difference(
-                        effect=effect.name,
-                        parameter=name,
-                        unit=unit_of(effect.name, name, first.unit),
-                        joint=joint,
-                        first=value,
-                        second=theirs,
-                        z=(theirs - value) / error if error > 0.0 else 0.0,
-                    )
-                )
+        effect, parameter, joint = key
+        theirs, other_variance = others[key]
+        error = (variance + other_variance) ** 0.5
+        differences.append(
+            Difference(
+                effect=effect,
+                parameter=parameter,
+                unit=unit_of(effect, parameter, first.unit),
+                joint=joint,
+                first=value,
+                second=theirs,
+                z=(theirs - value) / error if error > 0.0 else 0.0,
+            )
+        )
     return differences
 
 
-def _variance(effect: EffectValues, name: str, j: int) -> float:
-    """Return the squared standard error of a value; 0 where it is not known."""
-    if name not in effect.intervals:
-        return 0.0
-    low, high = effect.intervals[name][j]
-    return float((high - low) / WIDTH) ** 2
+def _values(result: Calibration) -> dict[tuple[str, str, str], tuple[float, float]]:
+    """Return value and squared standard error, 0 where that is not known, by effect, parameter and joint."""
+    found = {}
+    for effect in result.effects:
+        for name, values in effect.values.items():
+            for j, joint in enumerate(effect.joints or ("",)):
+                low, high = effect.intervals[name][j] if name in effect.intervals else (0.0, 0.0)
+                found[effect.name, name, joint] = (float(values[j]), float((high - low) / WIDTH) ** 2)
+    return found

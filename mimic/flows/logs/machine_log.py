@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from mimic.config.sysid import LogSettings
+from mimic.config.sysid import LogMotion, LogSettings
 from mimic.errors import ConfigError
 from mimic.flows.logs.calibrate import checked_log, left_out, machine_of
 from mimic.flows.play import load_robot
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, reporting
-from mimic.frozen import frozen, frozen_arrays
+from mimic.frozen import frozen_arrays
 from mimic.io import store
 
 if TYPE_CHECKING:
@@ -94,25 +94,8 @@ def predict_log(
     if out is not None:
         files = {"log": log, "model": model, **{f"effects {i}": f for i, f in enumerate(effects)}}
         inputs = {name: Path(f) for name, f in files.items() if isinstance(f, (str, Path))}
-        plain = {name: getattr(found, name) for name in ("joints", "unit", "noise", "errors")}
-        store.save_json({**plain, "whole": whole, "provenance": provenance({"whole": whole}, inputs)}, out)
+        store.save_json({**vars(found), "whole": whole, "provenance": provenance({"whole": whole}, inputs)}, out)
     return found
-
-
-@frozen
-class LogMotion:
-    """The motion of a simulated log."""
-
-    kind: Literal["probe", "random"] = "probe"
-    """probe shows every effect; random is for a second log."""
-    seconds: float = 120.0
-    """Length [s]."""
-    amplitude: float = 1.0
-    """Share of the joints' ranges that is used."""
-    kp: float | None = None
-    """Position gain [N m/rad]; None for the model's."""
-    kd: float | None = None
-    """Velocity gain [N m s/rad]; None for the model's."""
 
 
 def simulate_log(
@@ -153,9 +136,6 @@ def simulate_log(
         store.check_file(out)
     hidden = read_effects(effects) if effects else EffectSet()
     given = {"kp": motion.kp, "kd": motion.kd}
-    for name, value in given.items():
-        if value is not None and not 0.0 <= value < 1e9:
-            raise ConfigError(f"{name} is {value:g}; a gain is a number of at least 0")
     machine = machine_of(model, {name: value for name, value in given.items() if value is not None})
     reporter = reporting(reporter)
     for line in left_out(machine):
@@ -174,12 +154,12 @@ def simulate_log(
     if not np.asarray(machine.drives.kp).all():
         raise ConfigError(f"{model} has no position gain; give --kp and --kd, or position actuators in the model")
     moved = probe_targets(
-        low, high, centre, seconds=motion.seconds, seed=settings.seed, kind=motion.kind, size=motion.amplitude
+        low, high, centre, seconds=motion.seconds, seed=settings.seed, kind=motion.motion, size=motion.amplitude
     )
     with reporter.activity("") as show:
         show(f"simulating {motion.seconds:g} s", 0)
         log = simulate(machine, moved.t, moved.q_des, hidden, settings)
-    log = replace(log, metadata={**log.metadata, "motion": motion.kind, "seed": settings.seed})
+    log = replace(log, metadata={**log.metadata, "motion": motion.motion, "seed": settings.seed})
     if out is not None:
         write_log(log, out)
     return log

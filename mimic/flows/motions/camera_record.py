@@ -63,6 +63,8 @@ class CameraRecord:
 
     def pose(self) -> PoseTrack | None:
         """Return what was seen from the first tracked target on, as a track; None where nothing was."""
+        from mimic.sources.video.video import doubts
+
         zero = self.began + self.zero
         rows = [row for row in self.seen if row.t >= zero]
         if len(rows) < 2:
@@ -72,20 +74,7 @@ class CameraRecord:
         for name in ("landmarks", "image", "score", "valid", "depth_spread", "swapped"):
             columns[name] = np.array([getattr(row, name) for row in rows])
         track = PoseTrack(t=t, size=rows[-1].size, **columns)
-        return replace(track, warnings=self._warnings(track))
-
-    def _warnings(self, track: PoseTrack) -> tuple[str, ...]:
-        """Return what is to be said of a track, as of that of a video."""
-        from mimic.sources.video.screening import person_rows
-        from mimic.sources.video.shots import describe, find_changes
-        from mimic.sources.video.video import doubts
-
-        rows = self.seen[-len(track.t) :]
-        person = person_rows(track.score, self.settings.pose.min_visibility)
-        clothes = np.array([row.clothes for row in rows])
-        nothing = np.zeros(len(rows))  # a camera has no cuts and no fades
-        changes = find_changes(track, person, clothes, nothing, nothing > 0.0)
-        return (*self.people, *describe(changes, track.t), *doubts(track))
+        return replace(track, warnings=(*self.people, *doubts(track)))
 
     def report(self, pose: PoseTrack, reporter: Reporter) -> None:
         """Say what a run of a video says: doubts, an arm that is not seen, where the camera is."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -10,9 +9,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from mimic.config.emulator import EmulateSettings
+from mimic.config.emulator import EmulateSettings, ServeOptions
 from mimic.config.play import DEFAULT_ROBOT, EffectsSettings
-from mimic.config.ranges import Limited, within
 from mimic.control.priority import EMULATOR, real_time
 from mimic.control.signals import Signals
 from mimic.dynamics.effect_set import EffectSet, read_effects
@@ -35,29 +33,6 @@ from mimic.hardware.go2.wiring import load_go2
 from mimic.hardware.robot.board import Bus
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.wiring import load_board
-
-
-@frozen
-class ServeOptions(Limited):
-    """Where and how long the robot is served."""
-
-    listen: str = "127.0.0.1:29536"
-    """HOST:PORT for socketcand; port 0 takes a free one."""
-    slcan: bool = False
-    """Whether each bus is also served as a serial adapter (slcan) on a pseudo-terminal."""
-    buses: int = 1
-    """Number of buses."""
-    wiring: Path | None = None
-    """Wiring file; by default the shipped one."""
-    faults: Sequence[str] = ()
-    """Faults to inject, KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]]."""
-    seconds: float | None = within(None, 0.0, math.inf, "s")
-    """End after this [s]; None serves until Ctrl-C or SIGTERM."""
-    every: float = within(10.0, 0.0, math.inf, "s")
-    """Interval of the status lines [s]; 0 for none."""
-    board: str | None = None
-    """Stock robot to serve, cyberdog2 or go2; None serves motors on CAN."""
-
 
 _LACKS = {
     "cyberdog2": ("listen", "slcan", "buses", "zeroed", "position_range", "can_timeout", "reply"),
@@ -95,7 +70,7 @@ def _refuse_lacking(board: str, *given: ServeOptions | EmulateSettings) -> None:
     takes = []
     for settings in given:
         for f in fields(settings):
-            name = "--fault" if f.name == "faults" else f"--{f.name.replace('_', '-')}"
+            name = f"--{f.name.replace('_', '-')}"
             if f.name not in _LACKS[board]:
                 takes.append(name)
             elif getattr(settings, f.name) != f.default:
@@ -109,14 +84,16 @@ def serve_robot(
     settings: EmulateSettings | None = None,
     effects: EffectsSettings | None = None,
     *,
+    board: str | None = None,
     reporter: Reporter | None = None,
 ) -> Served:
     """Serve an emulated robot until Ctrl-C, SIGTERM or the given time: on emulated CAN buses, or a stock one.
 
     Args:
-        options: Which robot, where, how long, and which faults.
+        options: Where, how long, and which faults.
         settings: How the robot behaves.
         effects: What a calibration found.
+        board: Stock robot to serve, cyberdog2 or go2; None serves motors on CAN.
         reporter: Receives addresses, events and status lines.
 
     Raises:
@@ -128,7 +105,10 @@ def serve_robot(
     settings = settings or EmulateSettings()
     effects = effects or EffectsSettings()
     reporter = reporting(reporter)
-    emulated, faults, listen = (_on_can if options.board is None else _board)(options, settings, effects, reporter)
+    if board is None:
+        emulated, faults, listen = _on_can(options, settings, effects, reporter)
+    else:
+        emulated, faults, listen = _board(board, options, settings, effects, reporter)
     with real_time(EMULATOR, inherited=True):  # also for the threads in which a network receives
         server = listen()
     for fault in faults:
@@ -171,7 +151,7 @@ _Made = tuple[Any, Sequence[EmulatedFault], Callable[[], Any]]
 
 def _on_can(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
     host, port = _address(options.listen)
-    faults = [parse_fault(text) for text in options.faults]
+    faults = [parse_fault(text) for text in options.fault]
     for fault in faults:
         if fault.kind in BOARD_ONLY:
             raise ConfigError(f"{fault.kind} is a fault of stock robots; add --board cyberdog2 or go2")
@@ -186,9 +166,9 @@ def _on_can(options: ServeOptions, settings: EmulateSettings, effects: EffectsSe
     return robot, faults, lambda: EmulatorServer(robot, host=host, port=port, slcan=options.slcan)
 
 
-def _network(options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
+def _network(board: str, options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
     """Return class, wiring and network of a board."""
-    if options.board == "go2":
+    if board == "go2":
         go2 = load_go2(options.wiring)
         check_go2_network(go2, "lo")
         return EmulatedGo2, go2, lambda: DdsBus(go2, "lo", robot=True)
@@ -197,11 +177,12 @@ def _network(options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
     return EmulatedBoard, stock, lambda: LcmBus(stock, 0)
 
 
-def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
-    name = options.board or DEFAULT_ROBOT
+def _board(
+    name: str, options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter
+) -> _Made:
     _refuse_lacking(name, options, settings)
-    made, wiring, open_bus = _network(options)
-    faults = [parse_fault(text) for text in options.faults]
+    made, wiring, open_bus = _network(name, options)
+    faults = [parse_fault(text) for text in options.fault]
     board = made(
         load_robot(name if effects.robot_model == DEFAULT_ROBOT else effects.robot_model),
         wiring,

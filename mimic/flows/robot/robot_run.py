@@ -32,11 +32,9 @@ from mimic.flows.reporter import Reporter, reporting
 from mimic.flows.robot.operator import Operator, undisturbed
 from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
 from mimic.frozen import frozen_arrays
-from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.step_budget import PARTS
 from mimic.hardware.hold_to_run import Hold, await_hold, hold_to_run
-from mimic.hardware.robot.board_wiring import BOARDS
-from mimic.hardware.session import Robot, robot_session, wiring_of
+from mimic.hardware.session import robot_session
 from mimic.io import store
 from mimic.policy.runtime import Policy, load_policy
 from mimic.records import CommandTrack, LiveCommands
@@ -58,8 +56,6 @@ class RobotRun:
     """How the robot was left, as a sentence without its full stop."""
     load: Sequence[float]
     """Measured share of each bus's time that was used; empty for a stock robot."""
-    expected_load: Sequence[float]
-    """The same, computed from the wiring and the control rate."""
     camera: CameraRecord | None
     endless: bool
     """Whether it was meant to go on until Ctrl-C."""
@@ -140,14 +136,15 @@ def play_on_robot(
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = _motion(source, settings, policy, reporter)
-    standing = source is None and camera is None
+    played = _played(source, camera)
+    standing = played is None
     rate_hz = (PARTS if policy.contract.interpolate else 1) / description.dt
     inference = max(_inference(policy), _inference(sit_down))
-    folder = new_run_folder(_source_of_folder(source, camera), out)
+    folder = new_run_folder(played or "robot", out)
     moves = not bus.dry_run
     supervisor = Supervisor(description, strict=bus.tether, moves=moves)
     signals = Signals()
-    what = _announcement(_name(source, camera), bus)
+    what = _announcement(played, bus)
     commands: CommandTrack | LiveCommands = motion.commands
     record: CameraRecord | None = None
     with ExitStack() as until_saved, ExitStack() as stack:
@@ -186,7 +183,7 @@ def play_on_robot(
         until_saved.enter_context(signals.caught())
         with _shown(supervisor, operator.show_event), undisturbed():
             done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
-        load, expected = _loads(plant, bus_url, bus, rate_hz)
+        load = tuple(plant.load())
         stack.close()
         if recorder.restore_events(done.events):
             reporter.warn(f"{folder} was removed while the robot ran; it is written again from memory")
@@ -210,7 +207,6 @@ def play_on_robot(
         bus_url=bus_url,
         ending=plant.ending,
         load=load,
-        expected_load=expected,
         camera=record,
         endless=source is None,
         shortfall=None if bus.dry_run else saved.run.shortfall,
@@ -221,26 +217,9 @@ def play_on_robot(
     return ended
 
 
-def _source_of_folder(source: Path | str | None, camera: str | None) -> Path | str:
-    """Return what the folder of a run is named after."""
-    if source is not None:
-        return source
-    return Path("robot") if camera is None else camera_name(camera)
-
-
-def _name(source: Path | str | None, camera: str | None) -> str | None:
-    """Return what a person calls the motion; None where the robot only stands."""
-    if camera is not None:
-        return f"camera {camera}"
-    return source.name if isinstance(source, Path) else source
-
-
-def _loads(plant: Robot, bus_url: str, bus: BusSettings, rate_hz: float) -> tuple[Sequence[float], Sequence[float]]:
-    """Return the measured and the expected load of each bus; none of a robot with a board."""
-
-    if bus_url in BOARDS:
-        return (), ()
-    return tuple(plant.load()), tuple(expected_load(wiring_of(bus_url, bus), rate_hz))
+def _played(source: Path | str | None, camera: str | None) -> Path | str | None:
+    """Return what is played, or followed; None where the robot only stands."""
+    return source if camera is None else camera_name(camera)
 
 
 @contextmanager
@@ -273,10 +252,11 @@ def _inference(policy: Policy) -> float:
     return float(np.median(took))
 
 
-def _announcement(name: str | None, bus: BusSettings) -> str:
+def _announcement(played: Path | str | None, bus: BusSettings) -> str:
     """Return what is about to happen."""
     if bus.dry_run:
         return "Dry run: the motors stay off."
+    name = played.name if isinstance(played, Path) else played
     what = "It stands up now." if name is None else f"It stands up now and plays {name}."
     return f"{what} On its rope: at most {bus.torque:g} N m." if bus.tether else what
 

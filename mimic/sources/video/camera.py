@@ -76,8 +76,6 @@ class CameraFrame:
     """Time that the detector took [s]."""
     depth_spread: FloatArray
     """Standard deviation of the depth of left and right wrist (2,) [m]; NaN if it was not estimated."""
-    clothes: FloatArray
-    """Colour of the person's clothes (3,), L*a*b*; NaN where none are in the picture."""
     people: tuple[str, ...]
     """What is to be said about several people in view so far."""
     jpeg: bytes | None
@@ -317,8 +315,7 @@ def _detect(
         swapped = found is not None and sides.decide(t, landmarks)
         if swapped:
             landmarks, image, score = (column[other_side()] for column in (landmarks, image, score))
-        clothes = clothes_colour(rgb, image)
-        people.saw(image, clothes)
+        people.saw(image, clothes_colour(rgb, image))
         person = bool(person_rows(score[None], pose.min_visibility)[0])
         size = (rgb.shape[1], rgb.shape[0])
         spread = np.full(2, np.nan)
@@ -341,7 +338,6 @@ def _detect(
             swapped=bool(swapped),
             detector_s=time.monotonic() - started,
             depth_spread=spread,
-            clothes=clothes,
             people=tuple(people.sentences()),
             jpeg=jpeg,
         )

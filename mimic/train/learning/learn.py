@@ -99,14 +99,12 @@ def _go_on(runner: Any, env: StandTrackEnv, schedule: Schedule, checkpoint: Path
     """Take over a checkpoint, and the worlds where they were kept; return how long its training has lasted [s]."""
     try:
         infos = runner.load(str(checkpoint), map_location=device)
-    except (UnpicklingError, EOFError, RuntimeError, KeyError) as reason:
+        runner.current_learning_iteration = infos["updates"]
+        schedule.restore(infos)
+        env.resume(infos["env"])
+    except (UnpicklingError, EOFError, RuntimeError, KeyError, TypeError) as reason:
         told = str(reason).partition("\n")[0]
         raise ConfigError(f"{checkpoint} is no checkpoint of such a policy ({told}); expected last.pt of one") from None
-    if not {"updates", "elapsed_s", "env"} <= set(infos or {}):
-        raise ConfigError(f"{checkpoint} is of an older version; go on from its policy.onnx instead")
-    runner.current_learning_iteration = infos["updates"]
-    schedule.restore(infos)
-    env.resume(infos["env"])
     kept = checkpoint.with_name(WORLDS.format(rank()))
     if kept.is_file():
         state = torch.load(kept, weights_only=False, map_location=device)

@@ -9,7 +9,7 @@ import pytest
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import AssetError, ConfigError
-from mimic.policy.contract import ARM_TERMS, FRAME_SIZE, REACHING_TERMS
+from mimic.policy.contract import ARM_TERMS, FRAME_SIZE, PAPER_TERMS, TERMS
 from mimic.policy.runtime import Policy
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -122,13 +122,13 @@ class Reaching(torch.nn.Module):
 def test_a_training_goes_on_from_a_policy_that_saw_toe_commands_as_it_acts_for_neutral_toes(
     policy, description, tmp_path
 ):
-    contract = dataclasses.replace(Policy(policy, description).contract, terms=REACHING_TERMS, once=())
+    contract = dataclasses.replace(Policy(policy, description).contract, terms=PAPER_TERMS, once=())
     reaching = tmp_path / "reaching.onnx"
     export_network(Reaching(contract.observation_size), contract, description, reaching)
     taken = train(tmp_path / "taken", MDP, LEARN, resume=reaching)
     new = Policy(taken, description).contract
     rng = np.random.default_rng(0)
-    frames = {name: 0.2 * rng.normal(size=(5, contract.history, width)) for name, width in contract.terms}
+    frames = {name: 0.2 * rng.normal(size=(5, contract.history, width)) for name, width in (*contract.terms, *TERMS)}
     frames["toe_command"] = np.tile(contract.neutral_toes, (5, contract.history, 1))
     old = np.concatenate([frames[name] for name, _ in contract.terms], -1).reshape(5, -1)
     seen = np.concatenate([frames[name] for name, _ in new.terms], -1).reshape(5, -1)
