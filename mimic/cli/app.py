@@ -111,6 +111,7 @@ COMMANDS = {
         "Play all files of a folder in simulation, into one table.",
         "mimic batch videos/ -o out",
         "mimic batch videos/ -o out --workers 8",
+        "mimic batch videos/ -o out --ray auto",
     ),
     "export": (
         "mimic.cli.export:export",

@@ -19,6 +19,7 @@ def batch(
     *,
     out: o.RequiredOut,
     workers: int = 0,
+    ray: str | None = None,
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
     run: Annotated[o.Run, o.only("run", "policy", "seed", "early")] = None,
     robot: Annotated[o.Effects, o.only("robot", "robot_model", "effects")] = None,
@@ -35,11 +36,15 @@ def batch(
         Folder for summary.html, summary.parquet and a folder for each file.
     workers
         Processes; 0: one per core.
+    ray
+        Play on a Ray cluster at this address, such as auto or 10.0.0.5:6379; its nodes need the same paths.
     """
     from mimic.flows.batch import batch as play_folder
 
     settings = o.input_settings(pose=pose, stored=stored, retarget=retarget)
-    done = play_folder(folder, out, settings, run=run, effects=robot, workers=workers, reporter=ConsoleReporter())
+    done = play_folder(
+        folder, out, settings, run=run, effects=robot, workers=workers, ray=ray, reporter=ConsoleReporter()
+    )
     return _show(done)
 
 

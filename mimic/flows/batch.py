@@ -8,7 +8,7 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from mimic.flows.reporter import Reporter, SilentReporter, reporting
 from mimic.flows.run_folder import METRICS, TARGETS, save_logs
 from mimic.frozen import frozen, frozen_arrays
 from mimic.io import store
-from mimic.jobs.local import Progress, results_here
+from mimic.jobs.local import Progress
 from mimic.version import __version__
 
 ITEMS = "items"
@@ -108,6 +108,7 @@ def batch(
     run: RunSettings | None = None,
     effects: EffectsSettings | None = None,
     workers: int = 0,
+    ray: str | None = None,
     reporter: Reporter | None = None,
 ) -> Batch:
     """Play every video and motion file of a folder in simulation, into one table; go on where it was stopped.
@@ -121,6 +122,7 @@ def batch(
         run: How commands are played.
         effects: What a calibration found.
         workers: Processes; 0 takes one for each core.
+        ray: Address of a Ray cluster to play on instead.
         reporter: Receives notes and progress.
 
     Raises:
@@ -157,7 +159,7 @@ def batch(
     interrupted = False
     try:
         with reporter.progress("files") as progress:
-            _play_all(jobs, rows, workers, progress)
+            _play_all(jobs, rows, workers, ray, progress)
     except KeyboardInterrupt:
         interrupted = True
         _sweep(items)
@@ -191,15 +193,27 @@ def _finished(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
     return {name: row for name, row in found.items() if row is not None}
 
 
-def _play_all(jobs: Sequence[Job], rows: dict[str, dict[str, Any]], workers: int, progress: Progress) -> None:
+def _play_all(
+    jobs: Sequence[Job], rows: dict[str, dict[str, Any]], workers: int, ray: str | None, progress: Progress
+) -> None:
     """Play the jobs that have no row, and add their rows."""
     left = [job for job in jobs if job.name not in rows]
     progress(len(rows), len(jobs))
-    with closing(results_here(play_job, left, workers=workers)) as results:
+    with closing(_results(left, workers, ray)) as results:
         for at, result in results:
             row = result if isinstance(result, dict) else _failed(left[at], result.reason)
             rows[row["file"]] = row
             progress(len(rows), len(jobs))
+
+
+def _results(jobs: list[Job], workers: int, ray: str | None) -> Generator[tuple[int, Any]]:
+    if ray is not None:
+        from mimic.jobs.ray import results_on_ray
+
+        return results_on_ray(play_job, jobs, address=ray)
+    from mimic.jobs.local import results_here
+
+    return results_here(play_job, jobs, workers=workers)
 
 
 def settings_key(settings: InputSettings, run: RunSettings, robot: EffectsSettings) -> str:

@@ -21,6 +21,7 @@ EXTRAS = {
     "go2": ("cyclonedds",),
     "env": ("gymnasium",),
     "mcap": ("mcap_ros2",),
+    "ray": ("ray",),
     "c3d": ("ezc3d",),
 }
 """Extra -> the modules that it adds."""

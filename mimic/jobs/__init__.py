@@ -1,1 +1,1 @@
-"""Independent jobs on local processes."""
+"""Independent jobs on local processes or a Ray cluster."""

@@ -19,7 +19,7 @@ from mimic.robot.reach import Reach
 
 SHORT = ("--config", str(Path(__file__).parents[1] / "short.toml"))
 HEAVY = ("numpy", "scipy", "mujoco", "cv2", "mediapipe", "torch", "pinocchio", "onnxruntime", "rerun", "pyarrow", "av")
-HEAVY += ("openai", "yaml")
+HEAVY += ("openai", "ray", "yaml")
 
 
 STANDING = {
