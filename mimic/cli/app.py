@@ -128,6 +128,12 @@ COMMANDS = {
         "mimic view runs/video",
         "mimic view runs/video --web",
     ),
+    "lead": (
+        "mimic.cli.lead:lead",
+        "Lead a simulated robot by the hand.",
+        "mimic lead --direction 30 --video lead.mp4",
+        "mimic lead --toe right --most 6 --speed 0.15",
+    ),
     "evaluate": (
         "mimic.cli.evaluate:evaluate",
         "Evaluate a policy over many episodes.",

@@ -19,6 +19,7 @@ from mimic.config.hardware import (
     ProbeSettings,
     WiringSettings,
 )
+from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
@@ -92,6 +93,8 @@ SECTIONS: Mapping[str, type] = {
     "camera": LiveSettings,
     "robot": BusSettings,
     "probe": ProbeSettings,
+    "lead": HandSettings,
+    "answer": LeadingSettings,
     "calibrate": CalibrateSettings,
     "log": LogSettings,
     "emulate": EmulateSettings,

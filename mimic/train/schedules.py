@@ -280,7 +280,7 @@ class MoveSchedule(Chance):
         self.wanted.copy_(self.velocity)
 
     def lead(self, led: Tensor, pull: Tensor, hand: Tensor, heading: Tensor) -> None:
-        """Let a pull say what is asked, as it does when the robot is led by the hand.
+        """Let a pull say what is asked, as it does when the robot is led by the hand (mimic.evaluation.leading).
 
         Args:
             led: True where it does, until the end of the episode (N,).

@@ -35,6 +35,7 @@ NOT_RUN = {
     r'"step forward, then wave the left hand" --sim$|^mimic examples/videos/boxing.mp4': "tests/acceptance plays it",
     r"llm\.toml|^python -m llama_cpp": "needs a language model",
     r"mimic\.toml": "edits a file in between; tests/cli/test_settings_file.py reads and prints such files",
+    r"^mimic lead": "renders a film, or needs a display; tests/flows/robot/test_lead.py runs a short one",
     r"^mimic evaluate": "takes minutes; tests/evaluation runs short ones",
     r"^mimic calibrate": "takes minutes; examples/calibrate_any_machine.py runs a short one",
     r"^mimic log simulate .*(-o (log|probe|second)\.parquet)": "takes a minute; tests/cli runs short ones",

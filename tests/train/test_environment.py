@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from lab.policies.hand import Hand, HandSettings
+from mimic.config.leading import HandSettings
 from mimic.config.play import NOMINAL, Randomisation
 from mimic.config.rewards import FinishFactors, RewardWeights
 from mimic.config.training import UNDISTURBED, MdpSettings
@@ -17,6 +17,7 @@ from mimic.records import JointCommand
 from mimic.robot.description import with_timestep
 from mimic.robot.leg_kinematics import front_toes
 from mimic.robot.model import TOES
+from mimic.simulation.hand import Hand
 from mimic.simulation.plant import SimulatedPlant
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")

@@ -6,13 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from lab.policies.leading import HandLeading
 from mimic.config.leading import LeadingSettings
 from mimic.config.training import MdpSettings
 from mimic.dynamics.robot_model import load_model
+from mimic.evaluation.leading import HandLeading, PullEstimator
 from mimic.records import RobotState, Tick
 from mimic.robot.model import TOES
-from mimic.robot.pull import PullEstimator
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from lab.policies.hand import Hand
-from lab.policies.leading import lead_figures, lead_robot
 from lab.policies.studies.settings import LeadSettings
 from mimic.config.play import Randomisation
 from mimic.evaluation.episode import OF_EPISODES, play_all
+from mimic.evaluation.leading import lead_figures, lead_robot
 from mimic.evaluation.policy import stands_at_end
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
 from mimic.records import SIDES
+from mimic.simulation.hand import Hand
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 

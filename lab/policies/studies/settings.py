@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from lab.policies.hand import LONGEST_WATCH, HandSettings
 from mimic.config.evaluation import EpisodeSettings
-from mimic.config.leading import LeadingSettings
+from mimic.config.leading import LONGEST_WATCH, HandSettings, LeadingSettings
 from mimic.config.play import Randomisation
 from mimic.config.ranges import Limited, check_range, within
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from lab.policies.hand import HandSettings
 from lab.policies.studies.led_by_hand import evaluate_leading
 from lab.policies.studies.settings import LeadSettings
+from mimic.config.leading import HandSettings
 from mimic.errors import ConfigError
 from mimic.io.assets import shipped
 

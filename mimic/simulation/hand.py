@@ -2,46 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import mujoco
 import numpy as np
 
-from mimic.config.ranges import Limited, within
-from mimic.frozen import frozen
+from mimic.config.leading import HandSettings
 from mimic.geometry import heading_from_quat
 from mimic.records import SIDES, FloatArray
 from mimic.robot.model import TOES
-
-LONGEST_WATCH = 600.0
-"""How long a robot can be watched when the hand has let go [s]."""
-
-
-@frozen
-class HandSettings(Limited):
-    """A simulated hand that takes a front toe, walks off with it on a straight line, and lets go."""
-
-    toe: Literal["left", "right"] = "left"
-    """Toe that the hand takes."""
-    direction: float = within(0.0, -360.0, 360.0, "deg")
-    """Direction of the hand, relative to where the belly faces; positive to the left [deg]."""
-    way: float = within(5.0, 0.1, 100.0, "m")
-    """Distance that the hand moves [m]."""
-    speed: float = within(0.2, 0.01, 2.0, "m/s")
-    """Speed of the hand [m/s]."""
-    most: float = within(8.0, 0.1, 50.0, "N")
-    """Maximum pull [N]; beyond it the toe slips through the fingers."""
-    stiffness: float = within(60.0, 1.0, 1000.0, "N/m")
-    """Stiffness of the spring between hand and toe [N/m]."""
-    begin: float = within(4.0, 2.0, 60.0, "s")
-    """Time at which the hand takes the toe [s]."""
-    after: float = within(3.0, 2.0, LONGEST_WATCH, "s")
-    """Time after the hand lets go [s]."""
-
-    @property
-    def end(self) -> float:
-        """When it lets go [s]."""
-        return self.begin + self.way / self.speed
 
 
 class Hand:

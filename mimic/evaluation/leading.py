@@ -8,13 +8,13 @@ towards where it is pulled. When the hand lets go, it stops. The policy itself k
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from lab.policies.hand import Hand, HandSettings
-from mimic.config.leading import LeadingSettings
+from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
 from mimic.control.safety.safety_rules import FALLEN
@@ -26,6 +26,7 @@ from mimic.policy.runtime import Policy
 from mimic.records import Command, FloatArray, Tick
 from mimic.robot.description import RobotDescription
 from mimic.robot.pull import PullEstimator
+from mimic.simulation.hand import Hand
 
 STOPS_WITHIN = 1.0
 """A robot that is let go should stand still from here on [s]."""
@@ -79,6 +80,10 @@ class HandLeading:
         if self._began is None:
             self._began = self._now
 
+    def stop(self) -> None:
+        """Let the motion end."""
+        self._left = 0.0
+
     def newest(self) -> Command | None:
         """Return what the pull asks for; None when the time is over."""
         self._left -= self._dt
@@ -106,6 +111,7 @@ def lead_robot(
     settings: LeadingSettings,
     *,
     seconds: float = math.inf,
+    follow: Callable[[Tick], bool] | None = None,
 ) -> RunResult:
     """Let a simulated robot stand up and be led, until it falls or the time is over.
 
@@ -114,6 +120,7 @@ def lead_robot(
         policy: Stands and walks.
         settings: How the robot answers.
         seconds: Length of the run [s].
+        follow: Called with every tick; False ends the run.
 
     Raises:
         ContractError: If the policy does not fit.
@@ -122,9 +129,15 @@ def lead_robot(
     """
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
     leading = HandLeading(plant.description, neutral, settings, seconds=seconds - TIMING.stand_up)
+
+    def see(tick: Tick) -> None:
+        leading.see(tick)
+        if follow is not None and not follow(tick):
+            leading.stop()
+
     safety = of_episode(Supervisor(plant.description, rules=(FALLEN,)))
     timing = replace(TIMING, lean_against_pulls=False)  # it walks along instead
-    result = run_policy(plant, policy, leading, timing, sink=leading.see, safety=safety)
+    result = run_policy(plant, policy, leading, timing, sink=see, safety=safety)
     if result.error is not None:
         raise result.error
     return without_start(result)

@@ -6,14 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from lab.policies.hand import Hand, HandSettings
-from lab.policies.leading import HandLeading, PullEstimator, lead_figures, lead_robot
-from mimic.config.leading import LeadingSettings
+from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.dynamics.robot_model import load_model
 from mimic.errors import ConfigError
+from mimic.evaluation.leading import HandLeading, PullEstimator, lead_figures, lead_robot
 from mimic.policy.runtime import load_policy
 from mimic.records import RobotState, Tick
 from mimic.robot.model import TOES
+from mimic.simulation.hand import Hand
 from mimic.simulation.plant import SimulatedPlant
 
 TOES_OUT = np.array([[0.16, 0.14, -0.24], [0.16, -0.14, -0.24]])
@@ -95,9 +95,13 @@ def test_it_turns_to_a_pull_from_the_side_but_not_far_ahead_of_itself(descriptio
     assert abs(commands[-1].v[0]) < 0.05
 
 
-def test_it_ends_after_its_time(description):
+def test_it_ends_after_its_time_or_when_it_is_stopped(description):
     short = HandLeading(description, TOES_OUT, LeadingSettings(), seconds=0.05)
     assert [short.newest() is None for _ in range(4)] == [False, False, True, True]
+    stopped = HandLeading(description, TOES_OUT, LeadingSettings())
+    assert stopped.newest() is not None
+    stopped.stop()
+    assert stopped.newest() is None
 
 
 @pytest.mark.parametrize(
