@@ -8,7 +8,7 @@ from mimic.flows.doctor import examine
 
 
 def doctor() -> int:
-    """Say what is installed, and how to fix what is missing."""
+    """Say what is installed and connected, and how to fix what is missing; nothing moves."""
     findings = list(examine())
     rows = {f.name: ("ok  " if f.ok else "–   ") + f.text + (f"\n    → {f.fix}" if f.fix else "") for f in findings}
     table("This computer", rows)

@@ -1,4 +1,4 @@
-"""What this computer has for mimic: libraries, graphics and the pose model."""
+"""What this computer has for mimic: libraries, graphics, camera, CAN, multicast and the pose model; nothing moves."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
-from mimic.errors import install_line
+from mimic.errors import MimicError, install_line
 from mimic.version import __version__
 
 EXTRAS = {
@@ -31,6 +32,8 @@ LIBRARIES = (
     "without libGL"
 )
 """What brings the libraries of the system that OpenCV and Pinocchio need."""
+NETWORKS = Path("/sys/class/net")
+"""Where Linux lists network interfaces; those of CAN have type 280."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +128,53 @@ def _gpu() -> Found:
     return done.returncode == 0, cards or done.stderr.strip() or "none", ""
 
 
+def _camera() -> Found:
+    found = sorted(str(path) for path in Path("/dev").glob("video[0-9]*"))
+    if not found and sys.platform != "linux":
+        return True, "try: mimic --camera 0 --sim", ""
+    barred = [name for name in found if not os.access(name, os.R_OK | os.W_OK)]
+    if barred:
+        return False, f"no right to {barred[0]}", "usermod -aG video $USER"
+    fix = "plug one in; a video file can stand in: mimic --camera clip.mp4 --sim"
+    return bool(found), ", ".join(found) or "none", "" if found else fix
+
+
+def _can() -> Found:
+    """CAN interfaces of the kernel and serial adapters."""
+    can = [path for path in NETWORKS.glob("*") if _text(path / "type") == "280"]
+    down = [path.name for path in can if _text(path / "operstate") == "down"]
+    if down:
+        return False, f"{down[0]} is down", f"ip link set {down[0]} up type can bitrate 1000000"
+    serial = sorted(str(path) for path in Path("/dev").glob("ttyACM*"))
+    found = [path.name for path in can] + [f"slcan:{name}" for name in serial]
+    fix = "plug an adapter in; to rehearse without a robot: mimic emulate"
+    return bool(found), ", ".join(found) or "none", "" if found else fix
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8").strip() if path.is_file() else ""
+
+
+def _multicast() -> Found:
+    """Where messages to a stock robot would leave this computer."""
+    from mimic.hardware.stock.lcm_bus import check_network
+    from mimic.hardware.stock.wiring import load_board
+
+    try:
+        return True, check_network(load_board(), None)[0], ""
+    except MimicError as reason:
+        text, _, fix = str(reason).partition("; ")
+        return False, text, fix
+
+
 LOOKS = {
     "libraries": _libraries,
     "opencv": _opencv,
     "pose model": _pose_model,
     "graphics": _pictures,
     "gpu": _gpu,
+    "camera": _camera,
+    "CAN adapter": _can,
+    "multicast route": _multicast,
 }
 """What is looked at, in this order."""

@@ -15,7 +15,7 @@ from mimic.flows import doctor
 def test_doctor_looks_at_everything_and_what_is_missing_has_a_fix(capsys):
     assert main(["doctor"]) in (0, 2)
     shown = capsys.readouterr().out
-    for name in ("opencv", "pose model", "graphics", "gpu", "extra train"):
+    for name in ("opencv", "pose model", "graphics", "gpu", "camera", "CAN adapter", "multicast route", "extra train"):
         assert name in shown
     assert shown.count("→") >= shown.count("– ")
 
@@ -24,9 +24,20 @@ def test_a_look_that_fails_is_a_finding(monkeypatch):
     def fails() -> doctor.Finding:
         raise RuntimeError("no such thing")
 
-    monkeypatch.setitem(doctor.LOOKS, "gpu", fails)
-    found = next(f for f in doctor.examine() if f.name == "gpu")
+    monkeypatch.setitem(doctor.LOOKS, "camera", fails)
+    found = next(f for f in doctor.examine() if f.name == "camera")
     assert (found.ok, found.text) == (False, "RuntimeError: no such thing")
+
+
+def test_a_can_interface_that_is_down_is_told_from_one_that_is_up(monkeypatch, tmp_path):
+    (tmp_path / "can0").mkdir()
+    (tmp_path / "can0" / "type").write_text("280\n")
+    (tmp_path / "can0" / "operstate").write_text("down\n")
+    monkeypatch.setattr(doctor, "NETWORKS", tmp_path)
+    found = next(f for f in doctor.examine() if f.name == "CAN adapter")
+    assert found.fix == "ip link set can0 up type can bitrate 1000000"
+    (tmp_path / "can0" / "operstate").write_text("up\n")
+    assert next(f for f in doctor.examine() if f.name == "CAN adapter").ok
 
 
 @pytest.mark.slow
