@@ -115,9 +115,9 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     pq.write_table(pa.table([pa.array([0.0]), pa.array([0.0])], names=["t", "t"]), tmp_path / "twice.parquet")
     for name, reason in (
         ("text.parquet", "cannot be read as Parquet"),
-        ("empty.csv", "is empty; a log is a header line"),
-        ("header.csv", "has a header line, but no rows"),
-        ("semicolons.csv", "has semicolons between its columns"),
+        ("empty.csv", "cannot be read as CSV with a header line: Empty CSV file"),
+        ("header.csv", "has a header, but no rows"),
+        ("semicolons.csv", "has ';' between its columns"),
         ("twice.parquet", "cannot be read as Parquet"),
         ("missing.csv", "does not exist"),
         ("", "folder without joints.parquet"),
