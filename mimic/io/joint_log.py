@@ -33,9 +33,6 @@ CHANNELS = ("q", "dq", "tau", "q_des", "force")
 UNITS = "units"
 """Metadata key: angles are in degrees, "deg", or in radians, "rad" (the default)."""
 
-HELD = "held"
-"""Metadata key: joints at rest were not read in every row: {"rows": n, "within": step}."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointLog:
@@ -168,7 +165,7 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
         found |= {name: np.deg2rad(found[name]) for name in ("q", "q_des", "dq") if name in found}
     known = columns["t"][np.isfinite(columns["t"])]
     check_clock(known, path.name, CalibrationError, repeats=True)
-    log = _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
+    log = JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found)
     readings = without_marks(log)[0]
     fault = jump_fault(readings) or unit_fault(readings)
     if fault is not None:
@@ -357,42 +354,6 @@ def jump_fault(log: JointLog) -> str | None:
             )
             return f"q.{joint} jumps by {size:+.3f} in row {row + 1} (t = {log.t[row]:.3f} s), {why}"
     return None
-
-
-def _carried(log: JointLog) -> JointLog:
-    """Return the log with readings of joints at rest carried on, as its metadata says.
-
-    Only between two readings no more rows apart and no further from each other than the note says, with the target as
-    it was; all else that is missing stays so.
-
-    Raises:
-        CalibrationError: If the note is something else.
-    """
-    note = log.metadata.get(HELD)
-    if note is None:
-        return log
-    rows, within = (note.get("rows"), note.get("within")) if isinstance(note, dict) else (None, None)
-    if not (isinstance(rows, int) and rows > 0 and isinstance(within, int | float) and within >= 0):
-        raise CalibrationError(f'the note {HELD} of the log is {note!r}; expected {{"rows": 12, "within": 0.001}}')
-    carried: dict[str, Any] = {
-        name: np.array(values) for name, values in log.channels.items() if name in ("q", "dq", "tau")
-    }
-    number = np.arange(len(log.t))
-    for j in range(len(log.joints)):
-        q = log.q[:, j]
-        known = np.isfinite(q)
-        before = np.maximum.accumulate(np.where(known, number, -1))
-        after = np.minimum.accumulate(np.where(known, number, len(q))[::-1])[::-1]
-        gap = np.flatnonzero(~known & (before >= 0) & (after < len(q)))
-        last = before[gap]
-        following = after[gap]
-        still = (following - last <= rows) & (np.abs(q[following] - q[last]) <= within)
-        if log.q_des is not None:
-            changes = np.concatenate([[0], np.cumsum(np.diff(log.q_des[:, j]) != 0)])
-            still &= changes[following - 1] == changes[last]
-        for column in carried.values():
-            column[gap[still], j] = column[last[still], j]
-    return replace(log, **carried)
 
 
 def write_log(log: JointLog, path: str | Path) -> Path:
