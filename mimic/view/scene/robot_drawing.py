@@ -9,14 +9,13 @@ import rerun as rr
 
 from mimic.dynamics.robot_model import load_model
 from mimic.geometry import rotation_from_quat
-from mimic.records import PHASES, SIDES, FloatArray, RunLog, TargetTrack
+from mimic.records import PHASES, SIDES, FloatArray, RunLog
 from mimic.robot.description import RobotDescription
 from mimic.view.film import skeleton
 from mimic.view.film.skeleton import soft
 from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
 from mimic.view.scene.robot_shapes import (
-    CLAMPED,
     TARGET_RADIUS,
     Shapes,
     body_poses,
@@ -36,10 +35,9 @@ def draw_robot(
     scene: rr.RecordingStream,
     log: RunLog,
     description: RobotDescription,
-    targets: TargetTrack | None,
     frames: FloatArray | None = None,
 ) -> None:
-    """Add the robot, its toes, its phases and the floor to a scene; with targets, also the unclamped ones.
+    """Add the robot, its toes, its phases and the floor to a scene.
 
     Args:
         frames: Times of the frames of the video (F,) [s].
@@ -61,8 +59,6 @@ def draw_robot(
     draw_floor(scene, f"{layout.ROBOT}/floor", path, tile=_TILE)
     _phases(scene, log, clock, frames)
     _toes(scene, log, qpos, description, frames)
-    if targets is not None:
-        _unclamped_targets(scene, targets, frames)
 
 
 def _phases(scene: rr.RecordingStream, log: RunLog, clock: FloatArray, frames: FloatArray | None) -> None:
@@ -130,13 +126,3 @@ def _toes(
             style = rr.LineStrips3D.from_fields(colors=line, radii=radius)
             strips = rr.LineStrips3D.columns(strips=list(trails(points[shown, i], ticks)))
             layout.draw_over_time(scene, f"{entity}/{name}", style, t, strips)
-
-
-def _unclamped_targets(scene: rr.RecordingStream, targets: TargetTrack, frames: FloatArray | None) -> None:
-    """Show the toe targets before clamping, as small white balls in base axes."""
-    t = layout.time_columns(targets.t, frames)
-    for i, side in enumerate(SIDES):
-        shown = (targets.moved[:, i] > CLAMPED) & np.isfinite(targets.wanted[:, i]).all(axis=1)
-        style = rr.Points3D.from_fields(colors=(255, 255, 255), radii=0.012)
-        points = rr.Points3D.columns(positions=targets.wanted[shown, i]).partition(shown.astype(int))
-        layout.draw_over_time(scene, f"{layout.ROBOT}/links/base/unclamped_{side}", style, t, points)

@@ -19,9 +19,6 @@ VISUAL_GROUP = 2
 TARGET_RADIUS = 0.03
 """Radius of a target, a little larger than the toe, so that a toe inside its target is visible [m]."""
 
-CLAMPED = 0.005
-"""The unclamped target is drawn if clamping moved it by more than this [m]."""
-
 _GEOM = mujoco.mjtGeom
 _SPHERE = _GEOM.mjGEOM_SPHERE
 
