@@ -38,14 +38,8 @@ def number(value: float) -> str:
     """Return a number for a tick or a table: three digits, no trailing zeros."""
     if not math.isfinite(value):
         return "–"
-    if value == 0:
-        return "0"
-    size = abs(value)
-    if size >= 1e5 or size < 1e-3:
-        mantissa, _, exponent = f"{value:.2e}".partition("e")
-        return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}".replace("-", "−")
-    text = f"{value:.3g}" if size < 1000 else f"{value:.0f}"
-    return text.replace("-", "−")
+    text = f"{value:.0f}" if 1e3 <= abs(value) < 1e5 else f"{value:.3g}"
+    return text.replace("e+0", "e").replace("e-0", "e-").replace("-", "−")
 
 
 def figure(value: float) -> str:
