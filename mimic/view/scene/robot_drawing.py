@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import rerun as rr
 
@@ -47,9 +48,7 @@ def draw_robot(
     position, quat = body_poses(model, qpos)
     clock = shared_time(log)
     t = layout.time_columns(clock, frames)
-    for shapes in visual_shapes(model):
-        scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", rerun_shapes(shapes), static=True)
-    for body in sorted({shapes.body for shapes in visual_shapes(model)}):
+    for body in draw_shapes(scene, model):
         i = model.body(body).id
         poses = rr.Transform3D.columns(translation=position[:, i], quaternion=quat[:, i][:, [1, 2, 3, 0]])
         scene.send_columns(f"{layout.ROBOT}/links/{body}", indexes=t, columns=poses)
@@ -67,6 +66,13 @@ def _phases(scene: rr.RecordingStream, log: RunLog, clock: FloatArray, frames: F
     words = [f"{PHASE_TITLES[PHASES[log.phase[row]]]} (from {clock[row]:.1f} s)" for row in first]
     times = layout.time_columns(clock[first], frames)
     scene.send_columns(layout.PHASE, indexes=times, columns=rr.TextDocument.columns(text=words))
+
+
+def draw_shapes(scene: rr.RecordingStream, model: mujoco.MjModel) -> list[str]:
+    """Add the robot's shapes to a scene; return the names of their bodies."""
+    for shapes in visual_shapes(model):
+        scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", rerun_shapes(shapes), static=True)
+    return sorted({shapes.body for shapes in visual_shapes(model)})
 
 
 def rerun_shapes(shapes: Shapes) -> rr.AsComponents:
