@@ -24,7 +24,7 @@ def main(out: str | Path = "scene.rrd") -> None:
     log, t = run.complete_log, shared_time(run.complete_log)
     with rr.RecordingStream("mimic_example") as scene:
         scene.save(out)
-        draw_robot(scene, log, run.description, targets=None)
+        draw_robot(scene, log, run.description)
 
         # Your own entities: the path of the base on the ground, and the power of all motors.
         path = np.column_stack([log.p_WB[:, :2], np.zeros(len(t))])

@@ -33,7 +33,7 @@ from mimic.sources.video.depth import with_depth
 from mimic.sources.video.heading import with_heading
 from mimic.sources.video.two_views import merge_views
 
-STILL = RetargetSettings(keep_peaks=False)
+STILL = RetargetSettings()
 SIDES = {"L": "left", "R": "right"}
 
 

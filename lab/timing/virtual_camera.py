@@ -38,7 +38,7 @@ from mimic.sources.video.screening import person_rows
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "videos"
 STEPS = RetargetSettings()
-TRUE = RetargetSettings(keep_peaks=False)
+TRUE = RetargetSettings()
 LATEST = 0.4
 """Longest delay that is tried [s]."""
 

@@ -26,8 +26,6 @@ class RetargetSettings(Limited):
     to the person's left [deg]. With turns, the mean heading."""
     trunk: bool = True
     """Crouch and lean as the person does, as far as the robot can."""
-    keep_peaks: bool = True
-    """Move each target to the nearest reversal within half a step, so that slow rates keep the peak of a punch."""
     reach_quantile: float = within(0.98, 0.5, 1.0)
     """Quantile of the shoulder-wrist distance used as the arm length."""
     scale: float = within(1.0, 0.2, 2.0)

@@ -8,11 +8,10 @@ file of the same name. Other numeric columns (send and receive times, temperatur
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +32,6 @@ CHANNELS = ("q", "dq", "tau", "q_des", "force")
 
 UNITS = "units"
 """Metadata key: angles are in degrees, "deg", or in radians, "rad" (the default)."""
-
-HELD = "held"
-"""Metadata key: joints at rest were not read in every row: {"rows": n, "within": step}."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -169,7 +165,7 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
         found |= {name: np.deg2rad(found[name]) for name in ("q", "q_des", "dq") if name in found}
     known = columns["t"][np.isfinite(columns["t"])]
     check_clock(known, path.name, CalibrationError, repeats=True)
-    log = _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
+    log = JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found)
     readings = without_marks(log)[0]
     fault = jump_fault(readings) or unit_fault(readings)
     if fault is not None:
@@ -360,42 +356,6 @@ def jump_fault(log: JointLog) -> str | None:
     return None
 
 
-def _carried(log: JointLog) -> JointLog:
-    """Return the log with readings of joints at rest carried on, as its metadata says.
-
-    Only between two readings no more rows apart and no further from each other than the note says, with the target as
-    it was; all else that is missing stays so.
-
-    Raises:
-        CalibrationError: If the note is something else.
-    """
-    note = log.metadata.get(HELD)
-    if note is None:
-        return log
-    rows, within = (note.get("rows"), note.get("within")) if isinstance(note, dict) else (None, None)
-    if not (isinstance(rows, int) and rows > 0 and isinstance(within, int | float) and within >= 0):
-        raise CalibrationError(f'the note {HELD} of the log is {note!r}; expected {{"rows": 12, "within": 0.001}}')
-    carried: dict[str, Any] = {
-        name: np.array(values) for name, values in log.channels.items() if name in ("q", "dq", "tau")
-    }
-    number = np.arange(len(log.t))
-    for j in range(len(log.joints)):
-        q = log.q[:, j]
-        known = np.isfinite(q)
-        before = np.maximum.accumulate(np.where(known, number, -1))
-        after = np.minimum.accumulate(np.where(known, number, len(q))[::-1])[::-1]
-        gap = np.flatnonzero(~known & (before >= 0) & (after < len(q)))
-        last = before[gap]
-        following = after[gap]
-        still = (following - last <= rows) & (np.abs(q[following] - q[last]) <= within)
-        if log.q_des is not None:
-            changes = np.concatenate([[0], np.cumsum(np.diff(log.q_des[:, j]) != 0)])
-            still &= changes[following - 1] == changes[last]
-        for column in carried.values():
-            column[gap[still], j] = column[last[still], j]
-    return replace(log, **carried)
-
-
 def write_log(log: JointLog, path: str | Path) -> Path:
     """Write a log completely or not at all.
 
@@ -484,68 +444,28 @@ def _some(columns: Iterable[str]) -> str:
 OURS = ("t", *CHANNELS, "enabled", "unread", "t_send", "t_receive", "temperature", "voltage", "current")
 """Columns with such a name, or with one before a point, are read as numbers or refused; others may be anything."""
 
-_MARKS = ((";", "semicolons"), ("\t", "tabs"), ("|", "bars"))
-_NONE = ("", "nan", "na", "n/a", "null", "none")
-_WORDS = {**dict.fromkeys(_NONE, np.nan), "true": 1.0, "false": 0.0}
+_NONE = ["", "nan", "NaN", "NAN", "na", "NA", "n/a", "N/A", "null", "NULL", "none", "None"]
+"""What stands for a missing number in a table of text."""
 
 
 def _read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    import pyarrow as pa
+    from pyarrow import csv
+
+    text = read_text(path)
+    mark = max(",;\t|", key=text.partition("\n")[0].count)
+    if mark != ",":
+        raise CalibrationError(f"{path} has {mark!r} between its columns; commas are expected, and points in numbers")
+    data = text.encode()
+    whole = csv.ReadOptions(use_threads=False, block_size=len(data) + 1)  # all rows tell a type
     try:
-        rows = [row for row in csv.reader(read_text(path).splitlines()) if row]
-    except (OSError, csv.Error) as reason:
+        table = csv.read_csv(BytesIO(data), whole, convert_options=csv.ConvertOptions(null_values=_NONE))
+    except pa.ArrowException as reason:
         raise CalibrationError(f"{path} cannot be read as CSV with a header line: {reason}") from None
-    if not rows:
-        raise CalibrationError(f"{path} is empty; a log is a header line and a row for each reading")
-    header = [name.strip() for name in rows[0]]
-    if len(rows) == 1:
-        raise CalibrationError(f"{path} has a header line, but no rows; a log is a row for each reading")
-    other = [name for mark, name in _MARKS if mark in header[0]]
-    if other and len(header) == 1:
-        raise CalibrationError(f"{path} has {other[0]} between its columns; commas are expected, and points in numbers")
-    if twice := [name for name in header if header.count(name) > 1]:
-        raise CalibrationError(f"{path} has two columns {twice[0]}")
-    for number, row in enumerate(rows[1:], 1):
-        if len(row) != len(header):
-            raise CalibrationError(f"{path}: row {number} has {len(row)} values; its header has {len(header)} names")
-    return _numeric({name: column for name, *column in zip(header, *rows[1:], strict=True)}, path), {}
-
-
-def _numeric(columns: Mapping[str, Sequence[str | None]], path: Path) -> dict[str, FloatArray]:
-    """Return the columns of text that are numbers, times or True and False.
-
-    Raises:
-        CalibrationError: If one with a name of ours is something else.
-    """
-    found: dict[str, FloatArray] = {}
-    for name, cells in columns.items():
-        try:
-            found[name] = np.array([cell or "nan" for cell in cells], dtype=np.float64)
-        except ValueError:
-            try:
-                found[name] = np.array([_number(cell or "") for cell in cells])
-            except ValueError as cell:
-                _refuse_ours(name, f"text such as {cell}", path)
-    return found
-
-
-def _number(cell: str) -> float:
-    word = cell.strip().lower()
-    if word in _WORDS:
-        return _WORDS[word]
-    try:
-        return float(word)
-    except ValueError:
-        pass
-    try:
-        time = datetime.fromisoformat(cell.strip())
-    except ValueError:
-        raise ValueError(repr(cell[:40])) from None
-    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
-
-
-def _refuse_ours(name: str, what: str, path: Path) -> None:
-    if name.split(".")[0] in OURS:
-        raise CalibrationError(f"{path}: column {name} is {what}; expected numbers: convert it, or rename the column")
+    names = [name.strip() for name in table.column_names]
+    if len(set(names)) < len(names):
+        raise CalibrationError(f"{path} has two columns of one name: {_some(names)}")
+    return _numbers(table.rename_columns(names), {}, path), {}
 
 
 def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
@@ -558,22 +478,32 @@ def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         raise CalibrationError(f"{path} cannot be read as Parquet (nor is it named .csv): {reason}") from None
     raw = (table.schema.metadata or {}).get(_KEY)
     notes = _notes(raw, f"the metadata {_KEY.decode()!r} of {path}") if raw else {}
+    return _numbers(table, notes, path), notes
+
+
+def _numbers(table: Any, notes: Mapping[str, Any], path: Path) -> dict[str, FloatArray]:
+    """Return the columns that are numbers, times, or True and False.
+
+    Raises:
+        CalibrationError: If one with a name of ours is something else, or there is no row.
+    """
+    import pyarrow as pa
+
+    if not table.num_rows:
+        raise CalibrationError(f"{path} has a header, but no rows; a log is a row for each reading")
     columns: dict[str, FloatArray] = {}
+    types = pa.types
     for name in table.column_names:
         column = table.column(name)
-        if pa.types.is_dictionary(column.type):
+        if types.is_dictionary(column.type):
             column = column.cast(column.type.value_type)
         kind = column.type
-        types = pa.types
-        if str(kind) in ("string", "large_string", "string_view"):
-            columns |= _numeric({name: column.to_pylist()}, path)
-            continue
         try:
             if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
-                table_of = np.array(column.to_pylist(), dtype=np.float64)  # fails where rows differ in length
-                joints = notes.get("joints") or [str(i) for i in range(table_of.shape[1])]
-                whole = {f"{name}.{joint}": values for joint, values in zip(joints, table_of.T, strict=True)}
-                columns |= {name: table_of[:, 0]} if table_of.shape[1] == 1 else whole
+                rows = np.array(column.to_pylist(), dtype=np.float64)  # fails where rows differ in length
+                joints = notes.get("joints") or [str(i) for i in range(rows.shape[1])]
+                whole = {f"{name}.{joint}": values for joint, values in zip(joints, rows.T, strict=True)}
+                columns |= {name: rows[:, 0]} if rows.shape[1] == 1 else whole
                 continue
             if types.is_temporal(kind):
                 ticks = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[getattr(kind, "unit", "")]
@@ -583,5 +513,8 @@ def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
                 plain_kind = column.cast(pa.int8()) if types.is_boolean(kind) else column
                 columns[name] = plain_kind.cast(pa.float64(), safe=False).to_numpy()
         except (pa.ArrowException, ValueError, TypeError, KeyError, IndexError):
-            _refuse_ours(name, f"of type {kind}", path)
-    return columns, notes
+            if name.split(".")[0] in OURS:
+                raise CalibrationError(
+                    f"{path}: column {name} is of type {kind}; expected numbers: convert it, or rename the column"
+                ) from None
+    return columns

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mimic.records import HIPS, SHOULDERS, BoolArray, FloatArray
+from mimic.retargeting.one_euro import weight_of_new
 
 FOCAL = 0.87
 """Focal length over the picture's width: 60 degrees across, as most webcams have."""
@@ -54,7 +55,7 @@ class Follower:
             self._slow = place
             self._v = np.zeros(2)
         else:
-            share = dt / (dt + 1.0 / (2.0 * np.pi * WALK_HZ))
+            share = weight_of_new(WALK_HZ, dt)
             before = self._slow
             self._slow = before + share * (place - before)
             self._v = self._v + share * ((self._slow - before) / dt - self._v)

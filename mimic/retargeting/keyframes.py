@@ -39,9 +39,8 @@ def keyframe_commands(motion: KeyFrames, reach: Reach, settings: RetargetSetting
         times=[times, times],
     )
     report = {**targets.report, "rate_s": motion.seconds / len(motion.frames)}
-    targets = dataclasses.replace(targets, report=report)
     v = np.array([frame.velocity for frame in motion.frames])[row]
     goals = np.array([(0.0, 0.0), *(frame.trunk for frame in motion.frames)])
-    targets = dataclasses.replace(targets, trunk=PchipInterpolator(times, goals, axis=0)(t))
+    targets = dataclasses.replace(targets, report=report, trunk=PchipInterpolator(times, goals, axis=0)(t))
     commands = dataclasses.replace(command_track(targets), v=v)
     return commands, targets

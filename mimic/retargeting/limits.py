@@ -33,22 +33,21 @@ def limit_track(q: FloatArray, dt: float, speed: FloatArray, acceleration: Float
     if rows < 3 or _keeps(q, dt, speed, acceleration):
         return q.copy()
     bounds = (speed * dt * TIGHTER, acceleration * dt * dt * TIGHTER)
-    weights = (1.0, 1.0)
     band = np.zeros((3, rows))
     band[0] = 1.0
-    for weight, stencil in zip(weights, ((-1.0, 1.0), (1.0, -2.0, 1.0)), strict=True):
+    for stencil in ((-1.0, 1.0), (1.0, -2.0, 1.0)):
         for i, a in enumerate(stencil):
             for j in range(i, len(stencil)):
                 start = rows - len(stencil) + 1
-                band[j - i, i : i + start] += weight * a * stencil[j]
+                band[j - i, i : i + start] += a * stencil[j]
     factor = (cholesky_banded(band, lower=True), True)
     x = q.copy()
     z = [np.clip(np.diff(q, n + 1, axis=0), -bound, bound) for n, bound in enumerate(bounds)]
     u = [np.zeros_like(part) for part in z]
     for _ in range(STEPS):
         right = q.copy()
-        for n, weight in enumerate(weights):
-            right += weight * _spread(z[n] - u[n], n + 1, rows)
+        for n in range(2):
+            right += _spread(z[n] - u[n], n + 1, rows)
         x = np.asarray(cho_solve_banded(factor, right))
         for n, bound in enumerate(bounds):
             slope = np.diff(x, n + 1, axis=0) + u[n]

@@ -37,9 +37,9 @@ class OneEuro:
             self._speed = np.zeros_like(x)
             return self._x
         dt = t - self._t
-        self._speed = self._speed + _share(SPEED_HZ, dt) * ((x - self._x) / dt - self._speed)
+        self._speed = self._speed + weight_of_new(SPEED_HZ, dt) * ((x - self._x) / dt - self._speed)
         cutoff = self._min_cutoff + self._beta * float(np.linalg.norm(self._speed))
-        self._x = self._x + _share(cutoff, dt) * (x - self._x)
+        self._x = self._x + weight_of_new(cutoff, dt) * (x - self._x)
         self._t = t
         return self._x
 
@@ -48,7 +48,7 @@ class OneEuro:
         self._x = None
 
 
-def _share(cutoff_hz: float, dt: float) -> float:
+def weight_of_new(cutoff_hz: float, dt: float) -> float:
     """Return the weight of a new value in a first-order low-pass."""
     tau = 1.0 / (2.0 * np.pi * cutoff_hz)
     return dt / (dt + tau)

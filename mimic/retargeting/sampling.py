@@ -70,23 +70,22 @@ def fill_gaps(t: FloatArray, p: FloatArray, valid: BoolArray, waiting: FloatArra
     return filled
 
 
-def target_times(t: FloatArray, p: FloatArray, rate: float, keep_peaks: bool) -> FloatArray:
+def target_times(t: FloatArray, p: FloatArray, rate: float) -> FloatArray:
     """Return the times of one hand's targets [s]: every `rate`, ends included, at a turning point where there is one.
 
-    With peak keeping and more than 0.1 s between targets, a target moves to the turning point within half a step that
-    is farthest from where the hand usually is (its median), if there is any: of a punch and the return before the next
-    one, the punch stays. The first and the last target stay at the ends.
+    With more than 0.1 s between targets, a target moves to the turning point within half a step that is farthest from
+    where the hand usually is (its median), if there is any: of a punch and the return before the next one, the punch
+    stays. The first and the last target stay at the ends.
 
     Args:
         t: Time of the rows (T,) [s], increasing.
         p: Position of the toe without gaps (T, 3) [m].
         rate: Time between two targets [s].
-        keep_peaks: Move targets to turning points.
     """
     steps = max(1, round((t[-1] - t[0]) / rate))
     times = t[0] + rate * np.arange(steps + 1)
     times[-1] = t[-1]
-    if not keep_peaks or rate <= RATE_OF_PEAKS + 1e-9:
+    if rate <= RATE_OF_PEAKS + 1e-9:
         return times
     turns = turning_points(p)
     outward = np.linalg.norm(p[turns] - np.median(p, axis=0), axis=1)

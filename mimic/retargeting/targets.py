@@ -116,7 +116,7 @@ def _target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings, 
     times = []
     for side in range(2):
         filled = fill_gaps(t, toes[:, side], seen[:, side], hanging[side])
-        times.append(target_times(t, filled, settings.rate, settings.keep_peaks))
+        times.append(target_times(t, filled, settings.rate))
         wanted[:, side] = between(times[side], between(t, filled, times[side]), grid)
         person[:, side] = between(t, filled, grid)
     valid = np.stack([np.interp(grid, t, seen[:, side]) > 0.999 for side in range(2)], axis=1)

@@ -10,8 +10,6 @@ import pytest
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog, is_joint_log, read_log, write_log
 
-NAN = float("nan")
-
 
 @pytest.fixture
 def log() -> JointLog:
@@ -115,9 +113,9 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     pq.write_table(pa.table([pa.array([0.0]), pa.array([0.0])], names=["t", "t"]), tmp_path / "twice.parquet")
     for name, reason in (
         ("text.parquet", "cannot be read as Parquet"),
-        ("empty.csv", "is empty; a log is a header line"),
-        ("header.csv", "has a header line, but no rows"),
-        ("semicolons.csv", "has semicolons between its columns"),
+        ("empty.csv", "cannot be read as CSV with a header line: Empty CSV file"),
+        ("header.csv", "has a header, but no rows"),
+        ("semicolons.csv", "has ';' between its columns"),
         ("twice.parquet", "cannot be read as Parquet"),
         ("missing.csv", "does not exist"),
         ("", "folder without joints.parquet"),
@@ -130,49 +128,6 @@ def test_missing_values_become_nan(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t,q.a,q_des.a\n0,1,2\n0.01,,2\n")
     assert np.isnan(read_log(path).q[1, 0])
-
-
-def held(tmp_path: Path, q: list[float], q_des: list[float], note: object = None) -> np.ndarray:
-    """Return what is read of a joint, whose log has a note of joints that were read in turn."""
-    log = JointLog(
-        joints=("a",),
-        t=0.01 * np.arange(len(q)),
-        q=np.array(q)[:, None],
-        dq=10 * np.array(q)[:, None],
-        q_des=np.array(q_des)[:, None],
-        metadata={"held": {"rows": 3, "within": 0.1} if note is None else note},
-    )
-    again = read_log(write_log(log, tmp_path / "log.parquet"))
-    assert again.dq is not None
-    assert np.array_equal(again.dq, 10 * again.q, equal_nan=True)
-    return again.q[:, 0]
-
-
-def test_a_joint_that_was_held_and_read_in_turn_reads_what_it_read_last(tmp_path: Path) -> None:
-    assert held(tmp_path, [1.0, NAN, NAN, 1.05, NAN, 1.0], [1.0] * 6).tolist() == [1.0, 1.0, 1.0, 1.05, 1.05, 1.0]
-
-
-@pytest.mark.parametrize(
-    ("q", "q_des", "missing"),
-    [
-        ([1.0, NAN, 1.2, NAN, 1.2], [1.0] * 5, [1]),  # moved
-        ([1.0, NAN, NAN, NAN, 1.0, NAN, 1.0], [1.0] * 7, [1, 2, 3]),  # too long
-        ([1.0, NAN, NAN, 1.0], [1.0, 1.0, 2.0, 2.0], [1, 2]),  # sent elsewhere
-        ([NAN, 1.0, NAN], [1.0] * 3, [0, 2]),  # nothing before, or after
-    ],
-)
-def test_what_is_missing_otherwise_stays_missing(q, q_des, missing, tmp_path: Path) -> None:
-    assert np.flatnonzero(np.isnan(held(tmp_path, q, q_des))).tolist() == missing
-
-
-def test_a_target_that_moves_with_the_reading_after_the_gap_does_not_matter(tmp_path: Path) -> None:
-    assert held(tmp_path, [1.0, NAN, NAN, 1.0], [1.0, 1.0, 1.0, 2.0]).tolist() == [1.0] * 4
-
-
-@pytest.mark.parametrize("note", [3, {}, {"rows": 0, "within": 1.0}, {"rows": 3}, {"rows": 2.5, "within": 1}])
-def test_a_note_of_held_joints_that_says_nothing_is_refused(note, tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="held"):
-        held(tmp_path, [1.0, 1.0], [1.0, 1.0], note)
 
 
 def test_the_rate_is_that_of_the_clock_without_gaps() -> None:

@@ -20,8 +20,6 @@ POINTS = ("points", "joints", "xyz", "keypoints_3d", "pred_keypoints_3d")
 VISIBILITY = ("visibility", "score", "scores", "confidence")
 _READ = {*POINTS, *VISIBILITY, *KEYS, "t", "names", "layout"}
 """Arrays that are read; others are left where they are."""
-LARGEST = 500_000_000
-"""Most bytes of the arrays that are read."""
 _NONE = (ValueError, OSError, EOFError, KeyError, MemoryError, zlib.error, zipfile.BadZipFile)
 
 
@@ -60,7 +58,6 @@ def read_npz(path: Path, settings: MocapSettings) -> Points:
 
 def _arrays(path: Path) -> dict[str, Any]:
     try:
-        _check_size(path)
         with np.load(path, allow_pickle=False) as file:
             return {key: file[key] if key in _READ else None for key in file.files}
     except _NONE:  # NumPy's own words advise to load pickles, which is not safe
@@ -68,17 +65,6 @@ def _arrays(path: Path) -> dict[str, Any]:
             f"{path.name} cannot be read as NPZ: it is no archive of plain arrays; write it with numpy.savez, without "
             "Python objects"
         ) from None
-
-
-def _check_size(path: Path) -> None:
-    """Refuse an archive that unpacks to more than a motion can be, before it is unpacked."""
-    with zipfile.ZipFile(path) as archive:
-        size = sum(info.file_size for info in archive.infolist() if info.filename.removesuffix(".npy") in _READ)
-    if size > LARGEST:
-        raise SourceError(
-            f"{path.name} unpacks to {size / 1e6:.0f} MB; at most {LARGEST / 1e6:.0f} MB are read: cut the recording, "
-            "or lower its frame rate"
-        )
 
 
 def _names(arrays: dict[str, Any], count: int, settings: MocapSettings, path: Path) -> tuple[str, ...]:

@@ -20,15 +20,12 @@ import numpy as np
 
 from mimic.errors import SourceError
 
-LARGEST = 1_000_000_000
-"""Largest file after unpacking [bytes]: WHAM with the vertices of five minutes."""
-
 
 def read_pickle(path: Path) -> Any:
     """Return the plain data and arrays in a pickle.
 
     Raises:
-        SourceError: If the file is none, is larger than LARGEST, or needs code to be read.
+        SourceError: If the file is none, or needs code to be read.
     """
     try:
         with open(path, "rb") as file:
@@ -53,13 +50,8 @@ class _NotPlain(Exception):
 
 def _unpacked(path: Path) -> bytes:
     """Return the bytes of a file, unpacked if joblib packed them."""
-    with open(path, "rb") as file:
-        data = file.read(LARGEST + 1)
-    if data[:1] == b"\x78":
-        data = zlib.decompressobj().decompress(data, LARGEST + 1)
-    if len(data) > LARGEST:
-        raise SourceError(f"{path.name} has more than {LARGEST} bytes")
-    return data
+    data = path.read_bytes()
+    return zlib.decompress(data) if data[:1] == b"\x78" else data
 
 
 class _JoblibArray:
@@ -86,8 +78,6 @@ _STORAGES = {
 def _tensor(storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any) -> np.ndarray:
     """Rebuild a tensor as an array."""
     step = storage.itemsize
-    if math.prod(map(int, size)) * step > LARGEST:
-        raise ValueError("a tensor is too large")
     strides = [int(n) * step for n in stride]
     return np.ndarray(size, storage.dtype, storage, int(offset) * step, strides).copy()  # refuses what goes beyond it
 
@@ -183,8 +173,6 @@ class _Reader(pickle._Unpickler):  # the Python one: joblib's arrays follow thei
 def _torch(path: Path) -> Any:
     """Return the data of a file of torch.save: a zip of a pickle and the bytes of each storage."""
     with zipfile.ZipFile(path) as archive:
-        if sum(info.file_size for info in archive.infolist()) > LARGEST:
-            raise SourceError(f"{path.name} unpacks to more than {LARGEST} bytes")
         main = next((name for name in archive.namelist() if name.endswith("/data.pkl")), None)
         if main is None:
             raise SourceError(f"{path.name} is an archive without data.pkl; expected a file of torch.save")

@@ -18,7 +18,6 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from mimic.config.pose import LanguageSettings
-from mimic.config.text_file import from_json
 from mimic.errors import ConfigError, MissingExtra, SourceError
 from mimic.io.keyframes import LARGEST, KeyFrame, KeyFrames, frames_from, one_line
 from mimic.robot.reach import Reach
@@ -31,12 +30,9 @@ if TYPE_CHECKING:
 
 CORRECTIONS = 3
 """How often a model may correct its answer."""
-LONGEST_SENTENCE = 2000
-LARGEST_BODY = 4_000_000  # characters of a sentence; bytes of an endpoint's response
+LONGEST_SENTENCE = 2000  # characters
 REPORTED = 12  # at most this many errors go back at once
 TRIES = 100  # places at which an answer may hold its object
-
-_FAULTS = (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError)
 
 Chat = Callable[[list[dict[str, str]]], str]
 
@@ -186,10 +182,8 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
     def ask(messages: Any) -> str:
         while True:
             try:
-                with client.chat.completions.with_streaming_response.create(
-                    model=model, messages=messages, **options
-                ) as response:
-                    return _answer_in(response.iter_bytes())
+                answer = client.chat.completions.create(model=model, messages=messages, **options)
+                return str(answer.choices[0].message.content or "")
             except openai.BadRequestError as error:
                 if not _without_refused_option(options, str(error)):
                     raise
@@ -207,26 +201,11 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
     def chat(messages: list[dict[str, str]]) -> str:
         try:
             return _within(settings.llm_timeout, lambda: ask(messages))
-        except (openai.OpenAIError, *_FAULTS) as error:
+        except Exception as error:  # an answer of another form fails in any way
             text = next(text for kind, text in failures if isinstance(error, kind))
             raise SourceError(text.replace("%s", " ".join(str(error).split())[:200])) from None
 
     return chat
-
-
-def _answer_in(body: Iterator[bytes]) -> str:
-    """Return the text of a chat completion; the body is read up to LARGEST_BODY bytes."""
-    data = bytearray()
-    for part in body:
-        data += part
-        if len(data) > LARGEST_BODY:
-            raise ValueError(f"the answer has more than {LARGEST_BODY} bytes")
-    content = from_json(bytes(data))["choices"][0].get("message", {}).get("content")
-    if isinstance(content, list):  # parts, as some servers send them
-        content = "".join(str(part.get("text", "")) for part in content if isinstance(part, dict))
-    if not isinstance(content, str | None):
-        raise ValueError(f"the content of the message is {type(content).__name__}, expected text")
-    return content or ""
 
 
 def _without_refused_option(options: dict[str, Any], message: str) -> bool:

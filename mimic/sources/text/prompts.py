@@ -55,25 +55,12 @@ positive to the left; it
 - duration: seconds from the key frame before, at least 0.1. \
 The whole motion takes at most {longest:g} s and {MOST_FRAMES} frames.
 Each front leg: the upper arm is {100 * leg.thigh:.0f} cm long, the forearm {100 * shank:.0f} cm; so a hand is at most
-{100 * (leg.thigh + shank):.0f} cm from its shoulder. What 10 degrees more of a joint do to the hand, from "standing":
-{_effects(reach)}
+{100 * (leg.thigh + shank):.0f} cm from its shoulder.
 Allowed angles in degrees:
 {limits}
 No joint turns faster than {np.degrees(reach.speed_max.min()):.0f} deg/s. Hands must not touch each other or the body.
 Postures that are known to be good; go between them:
 {table}"""
-
-
-def _effects(reach: Reach) -> str:
-    """Return what ten degrees of each joint of the front legs do to its hand."""
-    start = reach.description.poses["upright"][:FRONT]
-    lines = []
-    for index, name in enumerate(JOINTS[:FRONT]):
-        turned = start.copy()
-        turned[index] += np.radians(10)
-        forward, left, up = 100 * ((reach.toes(turned) - reach.toes(start))[index // 3] @ R_BT)
-        lines.append(f"  {name}: {forward:+.1f} cm forward, {left:+.1f} cm left, {up:+.1f} cm up")
-    return "\n".join(lines)
 
 
 def describe(sentence: str) -> str:

@@ -19,7 +19,7 @@ from mimic.view.film import footage, skeleton
 from mimic.view.film.footage import Progress
 from mimic.view.film.offscreen import Offscreen
 from mimic.view.film.skeleton import soft
-from mimic.view.scene.robot_shapes import CLAMPED, TARGET_RADIUS, in_world, qpos_at_ticks
+from mimic.view.scene.robot_shapes import TARGET_RADIUS, in_world, qpos_at_ticks
 from mimic.view.scene.timing import (
     PHASE_TITLES,
     TIME_TOLERANCE,
@@ -65,7 +65,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
             description: The robot.
             width: Width of the pictures [px].
             height: Height of the pictures [px].
-            targets: Also shows the targets before clamping.
+            targets: The targets; how the person is turned follows from them.
             pose: The person; the robot is seen from where the camera saw them.
             pull: Where a hand pulls at each tick (T, 3), world axes [m], and how strongly (T, 3) [N]; an arrow.
             shadows: Whether the robot casts one.
@@ -82,16 +82,9 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
         self._qpos = qpos_at_ticks(log, model)
         self._target = in_world(self._qpos, log.p_BE_des)
         self._actual = in_world(self._qpos, log.p_BE)
-        self._unclamped = None if targets is None else self._unclamped_targets(targets)
         self._path = camera_path(log, self._qpos[:, :3])
         self._azimuth = initial_heading(log) + seen_from(pose, targets) + np.pi
         self._screen = Offscreen(model, width, height, shadows=shadows)
-
-    def _unclamped_targets(self, targets: TargetTrack) -> FloatArray:
-        """Return the targets before clamping, world axes (ticks, 2, 3) [m]; NaN where clamping changed nothing."""
-        rows = nearest(targets.t, shared_time(self._log))
-        unclamped = np.where(targets.moved[rows, :, None] > CLAMPED, targets.wanted[rows], np.nan)
-        return in_world(self._qpos, unclamped)
 
     def picture(self, tick: int) -> np.ndarray:
         """Return a picture of the robot at a tick (H, W, 3), RGB, with toe targets as transparent balls."""
@@ -104,8 +97,6 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
             screen.add_ball(self._actual[tick, i], 1.06 * self._radius, (red, green, blue, 1.0))
             if tracking and np.isfinite(self._target[tick, i]).all():
                 screen.add_ball(self._target[tick, i], TARGET_RADIUS, (red, green, blue, 0.45))
-            if tracking and self._unclamped is not None and np.isfinite(self._unclamped[tick, i]).all():
-                screen.add_ball(self._unclamped[tick, i], 0.012, (1.0, 1.0, 1.0, 0.8))
         if self._pull is not None:
             at, force = (values[tick] for values in self._pull)
             screen.add_arrow(at, at + METRES_PER_NEWTON * force, 0.012, (0.95, 0.75, 0.1, 1.0))
@@ -137,7 +128,7 @@ def save_video(
     Args:
         path: File to write.
         log: Log of the robot.
-        targets: Also shows the targets before clamping, as small white balls.
+        targets: As of `RobotFilm`.
         video: The video of ``pose``; without both, the film shows only the robot.
         pull: The pull of a hand, see `RobotFilm`; drawn and written.
         fps: Frames per second of the film.
@@ -202,11 +193,10 @@ def _draw_skeleton(picture: np.ndarray, pose: PoseTrack, row: int) -> None:
     for side, pairs in skeleton.bones(pose.names).items():
         for begin, end in skeleton.segments(points, seen, pairs).ends:
             cv2.line(picture, _pixel(begin), _pixel(end), skeleton.COLOURS[side], thick, cv2.LINE_AA)
-    certain = skeleton.certainty(pose)
-    for side, (wrist, known) in skeleton.wrists(pose, points).items():
-        if pose.valid[row, pose.index(f"{side}_wrist")] and known[0]:
-            colour = skeleton.doubtful(skeleton.COLOURS[side], float(certain[side][row]))
-            cv2.circle(picture, _pixel(wrist[0]), 2 * thick, colour, -1, cv2.LINE_AA)
+    for side in SIDES:
+        wrist = pose.index(f"{side}_wrist")
+        if seen[0, wrist]:
+            cv2.circle(picture, _pixel(points[0, wrist]), 2 * thick, skeleton.COLOURS[side], -1, cv2.LINE_AA)
 
 
 def _pixel(point: FloatArray) -> tuple[int, int]:

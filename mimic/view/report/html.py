@@ -17,9 +17,9 @@ from mimic.sysid.result import EXPLAINED, Calibration, Errors
 from mimic.sysid.sentences import called
 from mimic.view.report.correlations import correlations
 from mimic.view.report.evidence import evidence
-from mimic.view.report.motion import by_phase, other_measures, worst_seconds
-from mimic.view.report.plots import Unit, against_state, over_time, spectra, torque_over_time, unit_for
-from mimic.view.report.sections import joint_rows, key, page, pretty, section, table, tiles
+from mimic.view.report.motion import worst_seconds
+from mimic.view.report.plots import Unit, against_state, over_time, torque_over_time, unit_for
+from mimic.view.report.sections import key, page, section, table, tiles
 from mimic.view.report.svg import figure, number
 
 
@@ -41,7 +41,6 @@ def html_report(calibration: Calibration) -> str:
         _effects(calibration),
         _errors(calibration, unit),
         _logs(calibration, unit),
-        by_phase(calibration, unit),
         evidence(calibration),
         _unexplained(calibration),
         worst_seconds(calibration),
@@ -126,7 +125,7 @@ def _values(effects: Sequence[EffectValues], joints: Sequence[str], positions: s
 
 
 def _in(unit: str) -> str:
-    return f" [{escape(pretty(unit))}]" if unit else ""
+    return f" [{escape(unit.replace('^2', '²'))}]" if unit else ""
 
 
 def _value(e: EffectValues, parameter: str, i: int) -> str:
@@ -161,7 +160,10 @@ def _errors(c: Calibration, unit: Unit) -> str:
         f"Root mean square of measured − predicted [{unit.name}], to the end of blocks of 1.5 s. Held out: each block"
         " is predicted by a fit without it and every sixth block beside."
     )
-    return section("Errors", lead, table(headings, joint_rows(c.joints, cells)), other_measures(c))
+    rows = [("", [escape(joint), *cells(slice(j, j + 1))]) for j, joint in enumerate(c.joints)]
+    if len(rows) > 1:
+        rows.append(("total", ["all", *cells(slice(None))]))
+    return section("Errors", lead, table(headings, rows))
 
 
 def _logs(c: Calibration, unit: Unit) -> str:
@@ -205,9 +207,7 @@ def _unexplained(c: Calibration) -> str:
 
 
 def _residuals(c: Calibration, unit: Unit) -> str:
-    models = {"before": "baseline model", "after": "final model"}
-    timed = key(**models)
-    noisy = key(**models, noise="noise floor")
+    timed = key(before="baseline model", after="final model")
     torques = torque_over_time(c)
     return "".join(
         (
@@ -216,10 +216,9 @@ def _residuals(c: Calibration, unit: Unit) -> str:
             section(
                 "Residual against the state",
                 "Median and middle 80 % of the readings. An explained residual is flat at zero.",
-                key(**models),
+                timed,
                 f"<div class='grid3'>{''.join(against_state(c, unit))}</div>",
             ),
-            section("Residual over frequency", "", noisy, f"<div class='grid3'>{''.join(spectra(c, unit))}</div>"),
         )
     )
 

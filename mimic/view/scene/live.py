@@ -21,8 +21,8 @@ from mimic.robot.leg_kinematics import front_toes
 from mimic.view.film import skeleton
 from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
-from mimic.view.scene.robot_drawing import rerun_shapes
-from mimic.view.scene.robot_shapes import body_poses, visual_shapes
+from mimic.view.scene.robot_drawing import draw_shapes
+from mimic.view.scene.robot_shapes import body_poses
 from mimic.view.scene.viewer import start_viewer
 from mimic.view.scene.viewpoint import SIDEWAYS
 
@@ -64,9 +64,7 @@ class LiveView:
         else:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._scene.save(path, default_blueprint=shown)
-        for shapes in visual_shapes(self._model):
-            self._scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", rerun_shapes(shapes), static=True)
-        self._bodies = sorted({shapes.body for shapes in visual_shapes(self._model)})
+        self._bodies = draw_shapes(self._scene, self._model)
         self._queue: queue.Queue[tuple[str, tuple[object, ...]] | None] = queue.Queue(WAITING)
         self.dropped = 0
         """Number of items skipped because the queue was full."""

@@ -7,14 +7,11 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from mimic.records import FloatArray, PoseTrack
+from mimic.records import SIDES, FloatArray, PoseTrack
 from mimic.view.film import skeleton
 from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
 from mimic.view.scene.timing import hold_first_row
-
-_HEAD = (0.085, 0.085, 0.11)
-"""Half-sizes of the head: length, width, height [m]."""
 
 
 def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int] | None, start: float) -> None:
@@ -38,16 +35,12 @@ def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int
             style = kind.from_fields(colors=colour, radii=radius)
             strips = kind.columns(strips=list(found.ends)).partition(found.counts)
             layout.draw_over_time(scene, f"{root}/{side}", style, times, strips)
-    certain = skeleton.certainty(pose)
-    for side, (wrist, known) in skeleton.wrists(pose, points).items():
-        shown = rows[known[rows]]
-        colours = [skeleton.doubtful(skeleton.COLOURS[side], sure) for sure in certain[side][shown]]
-        balls = rr.Points3D.columns(positions=wrist[shown], colors=colours).partition(known[rows].astype(int))
-        style = rr.Points3D.from_fields(radii=0.05)
+    seen = skeleton.visible(points, pose.valid)[rows]
+    for side in SIDES:
+        wrist = pose.index(f"{side}_wrist")
+        known = seen[:, wrist]
+        balls = rr.Points3D.columns(positions=points[rows[known], wrist]).partition(known.astype(int))
+        style = rr.Points3D.from_fields(colors=skeleton.COLOURS[side], radii=0.05)
         layout.draw_over_time(scene, f"{layout.BODY}/{side}/wrist", style, times, balls)
-    middle, known = (values[rows] for values in skeleton.heads(pose, points))
-    style = rr.Ellipsoids3D.from_fields(colors=skeleton.CENTRE, fill_mode="Solid")
-    heads = rr.Ellipsoids3D.columns(centers=middle[known], half_sizes=np.tile(_HEAD, (known.sum(), 1)))
-    layout.draw_over_time(scene, f"{layout.BODY}/head", style, times, heads.partition(known.astype(int)))
     if skeleton.feet_seen(pose):
         draw_floor(scene, f"{layout.BODY}/floor", np.zeros((1, 2)), tile=0.5)

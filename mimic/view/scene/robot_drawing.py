@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import rerun as rr
 
 from mimic.dynamics.robot_model import load_model
 from mimic.geometry import rotation_from_quat
-from mimic.records import PHASES, SIDES, FloatArray, RunLog, TargetTrack
+from mimic.records import PHASES, SIDES, FloatArray, RunLog
 from mimic.robot.description import RobotDescription
 from mimic.view.film import skeleton
 from mimic.view.film.skeleton import soft
 from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
 from mimic.view.scene.robot_shapes import (
-    CLAMPED,
     TARGET_RADIUS,
     Shapes,
     body_poses,
@@ -36,10 +36,9 @@ def draw_robot(
     scene: rr.RecordingStream,
     log: RunLog,
     description: RobotDescription,
-    targets: TargetTrack | None,
     frames: FloatArray | None = None,
 ) -> None:
-    """Add the robot, its toes, its phases and the floor to a scene; with targets, also the unclamped ones.
+    """Add the robot, its toes, its phases and the floor to a scene.
 
     Args:
         frames: Times of the frames of the video (F,) [s].
@@ -49,9 +48,7 @@ def draw_robot(
     position, quat = body_poses(model, qpos)
     clock = shared_time(log)
     t = layout.time_columns(clock, frames)
-    for shapes in visual_shapes(model):
-        scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", rerun_shapes(shapes), static=True)
-    for body in sorted({shapes.body for shapes in visual_shapes(model)}):
+    for body in draw_shapes(scene, model):
         i = model.body(body).id
         poses = rr.Transform3D.columns(translation=position[:, i], quaternion=quat[:, i][:, [1, 2, 3, 0]])
         scene.send_columns(f"{layout.ROBOT}/links/{body}", indexes=t, columns=poses)
@@ -61,8 +58,6 @@ def draw_robot(
     draw_floor(scene, f"{layout.ROBOT}/floor", path, tile=_TILE)
     _phases(scene, log, clock, frames)
     _toes(scene, log, qpos, description, frames)
-    if targets is not None:
-        _unclamped_targets(scene, targets, frames)
 
 
 def _phases(scene: rr.RecordingStream, log: RunLog, clock: FloatArray, frames: FloatArray | None) -> None:
@@ -71,6 +66,13 @@ def _phases(scene: rr.RecordingStream, log: RunLog, clock: FloatArray, frames: F
     words = [f"{PHASE_TITLES[PHASES[log.phase[row]]]} (from {clock[row]:.1f} s)" for row in first]
     times = layout.time_columns(clock[first], frames)
     scene.send_columns(layout.PHASE, indexes=times, columns=rr.TextDocument.columns(text=words))
+
+
+def draw_shapes(scene: rr.RecordingStream, model: mujoco.MjModel) -> list[str]:
+    """Add the robot's shapes to a scene; return the names of their bodies."""
+    for shapes in visual_shapes(model):
+        scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", rerun_shapes(shapes), static=True)
+    return sorted({shapes.body for shapes in visual_shapes(model)})
 
 
 def rerun_shapes(shapes: Shapes) -> rr.AsComponents:
@@ -130,13 +132,3 @@ def _toes(
             style = rr.LineStrips3D.from_fields(colors=line, radii=radius)
             strips = rr.LineStrips3D.columns(strips=list(trails(points[shown, i], ticks)))
             layout.draw_over_time(scene, f"{entity}/{name}", style, t, strips)
-
-
-def _unclamped_targets(scene: rr.RecordingStream, targets: TargetTrack, frames: FloatArray | None) -> None:
-    """Show the toe targets before clamping, as small white balls in base axes."""
-    t = layout.time_columns(targets.t, frames)
-    for i, side in enumerate(SIDES):
-        shown = (targets.moved[:, i] > CLAMPED) & np.isfinite(targets.wanted[:, i]).all(axis=1)
-        style = rr.Points3D.from_fields(colors=(255, 255, 255), radii=0.012)
-        points = rr.Points3D.columns(positions=targets.wanted[shown, i]).partition(shown.astype(int))
-        layout.draw_over_time(scene, f"{layout.ROBOT}/links/base/unclamped_{side}", style, t, points)

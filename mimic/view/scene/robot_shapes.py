@@ -19,9 +19,6 @@ VISUAL_GROUP = 2
 TARGET_RADIUS = 0.03
 """Radius of a target, a little larger than the toe, so that a toe inside its target is visible [m]."""
 
-CLAMPED = 0.005
-"""The unclamped target is drawn if clamping moved it by more than this [m]."""
-
 _GEOM = mujoco.mjtGeom
 _SPHERE = _GEOM.mjGEOM_SPHERE
 
@@ -39,7 +36,6 @@ class Shapes:
     """The shapes of one kind on one body, in the body's axes; lengths in metres."""
 
     body: str
-    body_id: int
     kind: str
     """box, capsule, ellipsoid or cylinder; a sphere is an ellipsoid."""
     position: FloatArray
@@ -73,7 +69,6 @@ def visual_shapes(model: mujoco.MjModel) -> Iterator[Shapes]:
         rgba = np.where(material[:, None] >= 0, model.mat_rgba[material], model.geom_rgba[geoms])
         yield Shapes(
             body=model.body(body).name,
-            body_id=body,
             kind=kind,
             position=model.geom_pos[geoms].copy(),
             quat=model.geom_quat[geoms].copy(),

@@ -44,7 +44,7 @@ def save_scene(
     Args:
         path: File to write (.rrd).
         log: Log of the robot.
-        targets: Also shows the targets before clamping.
+        targets: Also shows by how much clamping moved them.
         pose: Pose track of the person; drawn over the video and in 3-D.
         video: The video that ``pose`` was made from.
         footage: The same video, if it is being encoded already; the caller closes it.
@@ -73,7 +73,7 @@ def save_scene(
                 _video(scene, clip, frames, start)
             if pose is not None:
                 draw_person(scene, pose, size, start)
-            draw_robot(scene, log, description, targets, frames)
+            draw_robot(scene, log, description, frames)
             for curve in plots.curves(log, description, targets):
                 style = rr.SeriesLines(colors=curve.colour, names=curve.name, widths=curve.width)
                 values = rr.Scalars.columns(scalars=curve.value)

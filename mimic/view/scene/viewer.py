@@ -27,7 +27,7 @@ HERE = "127.0.0.1"
 
 def display_available() -> bool:
     """Return whether a window could be opened here."""
-    if sys.platform in ("darwin", "win32"):
+    if sys.platform == "darwin":
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
@@ -86,10 +86,6 @@ def serve_scene(path: Path, show: Callable[[str], None]) -> None:
 
 def end(process: subprocess.Popen[Any]) -> None:
     """End the viewer and its process group, because the command starts another program; return when both are gone."""
-    if sys.platform == "win32":
-        subprocess.run(["taskkill", "/PID", str(process.pid), "/T", "/F"], capture_output=True, check=False)
-        process.wait(timeout=10)
-        return
     for kind in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
             os.killpg(process.pid, kind)

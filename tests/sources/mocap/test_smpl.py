@@ -269,13 +269,6 @@ def test_what_is_no_motion_is_refused_in_one_line(name, tmp_path):
     assert "\n" not in str(error.value)
 
 
-def test_an_archive_that_unpacks_to_too_much_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("mimic.sources.mocap.npz.LARGEST", 20_000_000)
-    np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((30_000, 35, 3)), fps=30)
-    with pytest.raises(SourceError, match="unpacks to 25 MB; at most 20 MB are read"):
-        read(tmp_path / "bomb.npz")
-
-
 def test_a_large_array_that_is_not_needed_is_left_alone(tmp_path):
     path = amass(tmp_path / "a.npz", marker_data=np.zeros((200, 50, 3)), labels=np.array(["a", None], dtype=object))
     assert len(read(path).t) == ROWS

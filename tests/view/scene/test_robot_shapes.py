@@ -24,8 +24,9 @@ def test_shapes_are_where_mujoco_draws_its_geoms(log: RunLog, description: Robot
     position, quat = body_poses(model, qpos)
     found = []
     for shapes in visual_shapes(model):
-        R_WL = rotation_from_quat(quat[TICK, shapes.body_id])
-        centres = position[TICK, shapes.body_id] + shapes.position @ R_WL.T
+        body = model.body(shapes.body).id
+        R_WL = rotation_from_quat(quat[TICK, body])
+        centres = position[TICK, body] + shapes.position @ R_WL.T
         R_WG = R_WL @ rotation_from_quat(shapes.quat)
         for centre, rotation in zip(centres, R_WG, strict=True):
             distance = np.linalg.norm(data.geom_xpos[visual] - centre, axis=1)

@@ -53,7 +53,6 @@ def test_scene_holds_video_person_robot_and_plots(scene: Path) -> None:
         "/robot/links/FL_knee/capsule",
         "/robot/toes/left/target",
         "/robot/toes/right/actual",
-        "/robot/links/base/unclamped_right",
         "/robot/eye",
         "/robot/floor",
         "/plots/toe_error/left",

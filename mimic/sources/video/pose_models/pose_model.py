@@ -10,12 +10,9 @@ which lab/people/pose_head.py makes, goes before it and says so; weights and gra
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import struct
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from mimic.errors import AssetError
@@ -62,35 +59,23 @@ def pose_model() -> Path:
     path = user_cache("models") / BUNDLE
     if _names(path) >= set(MODELS):
         return path
-    with _locked(path.parent):
-        if _names(path) >= set(MODELS):  # another process has made it meanwhile
-            return path
-        if here := sorted(path.parent.glob(_WHEELS)):
-            return _bundled(here[0], path)
-        try:
-            with download(f"mediapipe=={RELEASE}") as package:
-                return _bundled(package, path)
-        except RegistryError as reason:
-            raise AssetError(
-                f"the BlazePose models are not on this computer and could not be downloaded ({reason}); get "
-                f"{WHEEL} from a package registry and put it into {path.parent}"
-            ) from None
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Let one process at a time fetch the models."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = open(folder / ".lock", "w")  # noqa: SIM115
+        path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as reason:
         raise AssetError(
-            f"the BlazePose models cannot be kept in {folder}: {reason.strerror}; set XDG_CACHE_HOME to a folder that "
-            "can be written"
+            f"the BlazePose models cannot be kept in {path.parent}: {reason.strerror}; set XDG_CACHE_HOME to a folder "
+            "that can be written"
         ) from None
-    with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+    if here := sorted(path.parent.glob(_WHEELS)):
+        return _bundled(here[0], path)
+    try:
+        with download(f"mediapipe=={RELEASE}") as package:
+            return _bundled(package, path)
+    except RegistryError as reason:
+        raise AssetError(
+            f"the BlazePose models are not on this computer and could not be downloaded ({reason}); get "
+            f"{WHEEL} from a package registry and put it into {path.parent}"
+        ) from None
 
 
 def _names(path: Path) -> set[str]:
