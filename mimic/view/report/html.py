@@ -18,7 +18,7 @@ from mimic.sysid.sentences import called
 from mimic.view.report.correlations import correlations
 from mimic.view.report.evidence import evidence
 from mimic.view.report.motion import worst_seconds
-from mimic.view.report.plots import Unit, against_state, over_time, torque_over_time, unit_for
+from mimic.view.report.plots import Unit, against_state, over_time, spectra, torque_over_time, unit_for
 from mimic.view.report.sections import key, page, section, table, tiles
 from mimic.view.report.svg import figure, number
 
@@ -207,7 +207,9 @@ def _unexplained(c: Calibration) -> str:
 
 
 def _residuals(c: Calibration, unit: Unit) -> str:
-    timed = key(before="baseline model", after="final model")
+    models = {"before": "baseline model", "after": "final model"}
+    timed = key(**models)
+    noisy = key(**models, noise="noise floor")
     torques = torque_over_time(c)
     return "".join(
         (
@@ -216,9 +218,10 @@ def _residuals(c: Calibration, unit: Unit) -> str:
             section(
                 "Residual against the state",
                 "Median and middle 80 % of the readings. An explained residual is flat at zero.",
-                timed,
+                key(**models),
                 f"<div class='grid3'>{''.join(against_state(c, unit))}</div>",
             ),
+            section("Residual over frequency", "", noisy, f"<div class='grid3'>{''.join(spectra(c, unit))}</div>"),
         )
     )
 

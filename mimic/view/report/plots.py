@@ -1,4 +1,4 @@
-"""Plots of a calibration: residuals over time and against the state."""
+"""Plots of a calibration: residuals over time, against the state and over frequency; errors stage by stage."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ import numpy as np
 from mimic.records import FloatArray
 from mimic.sysid.result import Calibration, Errors
 from mimic.view.report.svg import Plot, figure
+
+SPECTRUM_BINS = 110
+"""Of a spectrum, on its logarithmic scale."""
 
 BINS = 24
 """Number of bins in a plot against the state; each has the same number of samples."""
@@ -124,3 +127,46 @@ def _binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     order = np.argsort(x, kind="stable")
     parts = np.array_split(order, BINS)
     return np.array([np.median(x[p]) for p in parts]), np.array([np.quantile(y[p], [0.1, 0.5, 0.9]) for p in parts]).T
+
+
+def spectra(calibration: Calibration, unit: Unit) -> list[str]:
+    """Return a plot for each joint: amplitude density of the residual over frequency, and of white noise."""
+    from scipy.signal import welch
+
+    traces = calibration.traces
+    plots = []
+    rate = 1.0 / float(np.median(np.diff(traces.t)))
+    for j, joint in enumerate(calibration.joints):
+        curves = {}
+        for kind, residual in (("before", traces.before[:, j]), ("after", traces.after[:, j])):
+            rows = np.nan_to_num(residual[np.isfinite(residual)] * unit.factor)
+            hertz, power = welch(rows, fs=rate, nperseg=min(len(rows), int(8 * rate)))
+            curves[kind] = _log_binned(hertz[1:], np.sqrt(power[1:]))
+        floor = float(calibration.noise[j]) * unit.factor * np.sqrt(2.0 / rate)
+        values = np.concatenate([c[1] for c in curves.values()])
+        low = min(values.min(), floor) * 0.7
+        high = max(values.max(), floor) * 1.4
+        plot = Plot(
+            x=(curves["before"][0][0], rate / 2),
+            y=(max(low, high * 1e-6), high),
+            size=(310, 140),
+            title=joint,
+            y_label=f"{unit.name}/√Hz",
+            x_label="frequency [Hz]",
+            log=(True, True),
+        )
+        plot.level(floor, "noise")
+        for kind, (x, y) in curves.items():
+            plot.curve(x, y, f"{kind} thick")
+        plots.append(plot.svg(f"spectrum of the residual of {joint}"))
+    return plots
+
+
+def _log_binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return means over bins of equal width on a logarithmic scale; a peak inside a bin keeps its height."""
+    edges = np.geomspace(x[0], x[-1] * 1.0001, SPECTRUM_BINS + 1)
+    index = np.searchsorted(edges, x, side="right")
+    groups = [np.flatnonzero(index == k) for k in np.unique(index)]
+    means = np.array([np.sqrt((y[g] ** 2).mean()) for g in groups])
+    peaks = np.array([y[g].max() for g in groups])
+    return np.array([x[g].mean() for g in groups]), np.where(peaks > 2.0 * means, peaks, means)

@@ -43,6 +43,7 @@ border-radius:2px;vertical-align:baseline}
 .key{margin:0 0 6px;color:var(--soft);font-size:12.5px}
 .key i{display:inline-block;width:18px;height:3px;margin:0 6px 3px 0;vertical-align:middle}
 .key i.before,.key i.after{background:var(--c)}.key span{margin-right:18px}
+.key i.noise{height:0;border-top:2px dashed var(--soft)}
 .key i.measured{background:var(--ink)}.key i.target{height:0;border-top:2px dotted var(--soft)}
 .grid2{display:grid;grid-template-columns:repeat(auto-fill,minmax(400px,1fr));gap:6px 14px}
 .grid3{display:grid;grid-template-columns:repeat(auto-fill,minmax(290px,1fr));gap:6px 14px}
@@ -55,6 +56,7 @@ svg .line{fill:none;stroke-width:1;stroke-linejoin:round}
 svg .before{stroke:var(--before)}svg .after{stroke:var(--after)}
 svg .measured{stroke:var(--ink);stroke-width:1.1}svg .target{stroke:var(--soft);stroke-dasharray:1.5 3}
 svg .thick{stroke-width:1.8}
+svg .noise{stroke:var(--soft);stroke-dasharray:4 3}
 svg .band{stroke:none}svg .band.before{fill:var(--before);opacity:.16}svg .band.after{fill:var(--after);opacity:.2}
 svg circle.after{fill:var(--after);stroke:none}svg circle.before{fill:var(--before);stroke:none}
 svg text.note{stroke:none}

@@ -34,6 +34,16 @@ def round_ticks(low: float, high: float, count: int) -> list[float]:
     return ticks
 
 
+def _powers(low: float, high: float, count: float) -> list[float]:
+    """Return the logarithms of powers of ten in a range of logarithms; with 2 and 5 between them if there are few."""
+    powers = [float(k) for k in range(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1)]
+    if len(powers) < 3:
+        fine = [k + math.log10(m) for k in range(math.floor(low), math.ceil(high) + 1) for m in (1, 2, 5)]
+        fine = [k for k in fine if low <= k <= high]
+        return fine if len(fine) > 1 else [math.log10(v) for v in round_ticks(10.0**low, 10.0**high, 3)]
+    return powers[:: max(1, math.ceil(len(powers) / max(count, 2.0)))]
+
+
 def number(value: float) -> str:
     """Return a number for a tick or a table: three digits, no trailing zeros."""
     if not math.isfinite(value):
@@ -65,10 +75,12 @@ class Plot:
         title: str,
         x_label: str,
         y_label: str,
+        log: tuple[bool, bool] = (False, False),
     ) -> None:
         self.width, self.height = size
-        self._x = self._range(x)
-        self._y = self._range(y)
+        self.log = log
+        self._x = self._range(x, log[0])
+        self._y = self._range(y, log[1])
         self._bottom = BOTTOM + (12 if x_label else 0)
         self._parts: list[str] = []
         self._over = [
@@ -80,11 +92,18 @@ class Plot:
         self._axes()
 
     @staticmethod
-    def _range(limits: tuple[float, float]) -> tuple[float, float]:
+    def _range(limits: tuple[float, float], log: bool) -> tuple[float, float]:
         low, high = limits
+        if log:
+            low = math.log10(low)
+            high = math.log10(high)
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
     def _at(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if self.log[0]:
+            x = np.log10(np.maximum(x, 1e-300))
+        if self.log[1]:
+            y = np.log10(np.maximum(y, 1e-300))
         (x0, x1) = self._x
         (y0, y1) = self._y
         across = self.width - LEFT - RIGHT
@@ -95,14 +114,19 @@ class Plot:
     def _axes(self) -> None:
         base = self.height - self._bottom
         marks = ["<g class='grid'>"]
-        for tick in round_ticks(*self._x, count=max(3, round((self.width - LEFT - RIGHT) / 90))):
-            px = self._at(np.array([tick]), np.zeros(1))[0][0]
-            marks.append(f"<path d='M{px:.1f},{TOP}V{base}'/>")
-            self._over.append(self._text(px, base + 13, number(tick), "tick middle"))
-        for tick in round_ticks(*self._y, count=max(3, round((self.height - TOP - self._bottom) / 28))):
-            py = self._at(np.zeros(1), np.array([tick]))[1][0]
-            marks.append(f"<path d='M{LEFT},{py:.1f}H{self.width - RIGHT}'/>")
-            self._over.append(self._text(LEFT - 5, py + 3.5, number(tick), "tick end"))
+        for axis, (limits, log) in enumerate(((self._x, self.log[0]), (self._y, self.log[1]))):
+            across = (self.width - LEFT - RIGHT) / (60 if log else 90)
+            room = across if axis == 0 else (self.height - TOP - self._bottom) / 28
+            ticks = _powers(*limits, count=max(2.0, room)) if log else round_ticks(*limits, count=max(3, round(room)))
+            for tick in ticks:
+                value = 10.0**tick if log else tick
+                px, py = self._at(np.array([value]), np.array([value]))
+                if axis == 0:
+                    marks.append(f"<path d='M{px[0]:.1f},{TOP}V{base}'/>")
+                    self._over.append(self._text(px[0], base + 13, number(value), "tick middle"))
+                else:
+                    marks.append(f"<path d='M{LEFT},{py[0]:.1f}H{self.width - RIGHT}'/>")
+                    self._over.append(self._text(LEFT - 5, py[0] + 3.5, number(value), "tick end"))
         self._parts.append("".join([*marks, "</g>"]))
 
     @staticmethod
@@ -122,6 +146,11 @@ class Plot:
         if ok.any():
             both = np.concatenate([x[ok], x[ok][::-1]]), np.concatenate([low[ok], high[ok][::-1]])
             self._parts.append(f"<path class='band {kind}' d='{self._path(*both)}Z'/>")
+
+    def level(self, y: float, kind: str) -> None:
+        """Draw a horizontal line."""
+        _, py = self._at(np.array([1.0]), np.array([y]))
+        self._parts.append(f"<path class='line {kind}' d='M{LEFT},{py[0]:.1f}H{self.width - RIGHT}'/>")
 
     def _path(self, x: FloatArray, y: FloatArray) -> str:
         px, py = self._at(x, y)

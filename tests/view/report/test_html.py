@@ -197,7 +197,7 @@ def test_values_have_units_and_intervals(page: Page) -> None:
 
 def test_each_joint_has_its_plots(calibration: Calibration, page: Page) -> None:
     n = len(JOINTS)
-    assert page.tags.count("svg") == n + n + 3 * n
+    assert page.tags.count("svg") == n + n + 3 * n + n
 
 
 def test_a_log_of_another_machine_is_said_first(calibration: Calibration) -> None:
