@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mimic.geometry import R_CT
-from mimic.records import BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.records import SIDES, BoolArray, FloatArray, IntArray, PoseTrack
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
@@ -103,3 +103,10 @@ def feet_seen(pose: PoseTrack) -> bool:
     """Return whether the feet are visible often enough to estimate the floor height."""
     feet = [pose.index(name) for name in _FEET if name in pose.names]
     return bool(feet) and float(visible(pose.landmarks, pose.valid)[:, feet].mean()) > _FEET_SHARE
+
+
+def wrists(pose: PoseTrack, points: FloatArray) -> dict[str, tuple[FloatArray, BoolArray]]:
+    """Return for each side the wrist (T, D) in the axes of ``points`` (T, L, D), and whether it is visible (T,)."""
+    seen = visible(points, pose.valid)
+    columns = {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
+    return {side: (points[:, i], seen[:, i]) for side, i in columns.items()}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from mimic.records import SIDES, FloatArray, PoseTrack
+from mimic.records import FloatArray, PoseTrack
 from mimic.view.film import skeleton
 from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
@@ -35,11 +35,9 @@ def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int
             style = kind.from_fields(colors=colour, radii=radius)
             strips = kind.columns(strips=list(found.ends)).partition(found.counts)
             layout.draw_over_time(scene, f"{root}/{side}", style, times, strips)
-    seen = skeleton.visible(points, pose.valid)[rows]
-    for side in SIDES:
-        wrist = pose.index(f"{side}_wrist")
-        known = seen[:, wrist]
-        balls = rr.Points3D.columns(positions=points[rows[known], wrist]).partition(known.astype(int))
+    for side, (wrist, known) in skeleton.wrists(pose, points).items():
+        shown = rows[known[rows]]
+        balls = rr.Points3D.columns(positions=wrist[shown]).partition(known[rows].astype(int))
         style = rr.Points3D.from_fields(colors=skeleton.COLOURS[side], radii=0.05)
         layout.draw_over_time(scene, f"{layout.BODY}/{side}/wrist", style, times, balls)
     if skeleton.feet_seen(pose):

@@ -26,3 +26,9 @@ def test_bones_are_drawn_only_where_both_ends_are_seen(pose: PoseTrack) -> None:
 def test_a_track_with_other_landmarks_has_the_bones_it_can() -> None:
     pairs = skeleton.bones(("left_shoulder", "left_elbow", "tail"))
     assert pairs == {"left": [(0, 1)], "right": [], "centre": []}
+
+
+def test_wrists_say_where_they_are_seen(pose: PoseTrack) -> None:
+    wrists = skeleton.wrists(pose, pose.landmarks)
+    assert wrists["left"][1].all()
+    assert not wrists["right"][1].any()
