@@ -193,9 +193,11 @@ def _draw_skeleton(picture: np.ndarray, pose: PoseTrack, row: int) -> None:
     for side, pairs in skeleton.bones(pose.names).items():
         for begin, end in skeleton.segments(points, seen, pairs).ends:
             cv2.line(picture, _pixel(begin), _pixel(end), skeleton.COLOURS[side], thick, cv2.LINE_AA)
+    certain = skeleton.certainty(pose)
     for side, (wrist, known) in skeleton.wrists(pose, points).items():
         if pose.valid[row, pose.index(f"{side}_wrist")] and known[0]:
-            cv2.circle(picture, _pixel(wrist[0]), 2 * thick, skeleton.COLOURS[side], -1, cv2.LINE_AA)
+            colour = skeleton.doubtful(skeleton.COLOURS[side], float(certain[side][row]))
+            cv2.circle(picture, _pixel(wrist[0]), 2 * thick, colour, -1, cv2.LINE_AA)
 
 
 def _pixel(point: FloatArray) -> tuple[int, int]:

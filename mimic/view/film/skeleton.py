@@ -42,6 +42,14 @@ _FEET = ("left_ankle", "right_ankle", "left_heel", "right_heel", "left_foot_inde
 
 _FEET_SHARE = 0.2
 """Minimum share of visible feet from which the floor height is estimated."""
+_JUST_USABLE = 0.5
+"""Visibility at which a landmark may just be used."""
+_PALEST = 0.25
+"""Share of its colour that the least sure wrist keeps."""
+_WELL_KNOWN_DEPTH = 0.08
+"""Standard deviation of the depth of a wrist that is sure [m]."""
+_UNKNOWN_DEPTH = 0.16
+"""… and of one about which nothing is known [m]."""
 _HIP_HEIGHT = 0.9
 """Assumed height of the hips if no foot is visible [m]."""
 
@@ -108,5 +116,39 @@ def feet_seen(pose: PoseTrack) -> bool:
 def wrists(pose: PoseTrack, points: FloatArray) -> dict[str, tuple[FloatArray, BoolArray]]:
     """Return for each side the wrist (T, D) in the axes of ``points`` (T, L, D), and whether it is visible (T,)."""
     seen = visible(points, pose.valid)
-    columns = {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
-    return {side: (points[:, i], seen[:, i]) for side, i in columns.items()}
+    return {side: (points[:, i], seen[:, i]) for side, i in _wrist_columns(pose).items()}
+
+
+def _wrist_columns(pose: PoseTrack) -> dict[str, int]:
+    return {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
+
+
+def certainty(pose: PoseTrack) -> dict[str, FloatArray]:
+    """Return how sure each side's wrist is (T,), 0 to 1: the less of its visibility and of what is known of its depth.
+
+    Visibility counts from just usable to fully visible, the spread of the depth from _UNKNOWN_DEPTH to
+    _WELL_KNOWN_DEPTH.
+    """
+    known = (_UNKNOWN_DEPTH - np.nan_to_num(pose.depth_spread)) / (_UNKNOWN_DEPTH - _WELL_KNOWN_DEPTH)
+    sure = {}
+    for side, i in _wrist_columns(pose).items():
+        seen = (pose.score[:, i] - _JUST_USABLE) / (1 - _JUST_USABLE)
+        sure[side] = np.clip(np.minimum(seen, known[:, SIDES.index(side)]), 0, 1)
+    return sure
+
+
+def doubtful(colour: Colour, sure: float) -> Colour:
+    """Return a colour that is paler the less sure what it shows is (0 to 1)."""
+    share = _PALEST + (1 - _PALEST) * float(sure)
+    red, green, blue = (round(255 - share * (255 - c)) for c in colour)
+    return red, green, blue
+
+
+def heads(pose: PoseTrack, points: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the centre of the head (T, 3) in the axes of ``points`` (T, L, 3), and whether it is known (T,)."""
+    ears = [pose.names.index(name) for name in ("left_ear", "right_ear") if name in pose.names]
+    if len(ears) < 2:
+        return np.full((len(points), 3), np.nan), np.zeros(len(points), dtype=np.bool_)
+    middle = points[:, ears].mean(axis=1)
+    seen = np.stack([*pose.valid[:, ears].T, *np.isfinite(middle).T])
+    return middle, np.all([seen[:2].any(axis=0), *seen[2:]], axis=0)

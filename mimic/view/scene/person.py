@@ -13,6 +13,9 @@ from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
 from mimic.view.scene.timing import hold_first_row
 
+_HEAD = (0.085, 0.085, 0.11)
+"""Half-sizes of the head: length, width, height [m]."""
+
 
 def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int] | None, start: float) -> None:
     """Add the person to a scene.
@@ -35,10 +38,16 @@ def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int
             style = kind.from_fields(colors=colour, radii=radius)
             strips = kind.columns(strips=list(found.ends)).partition(found.counts)
             layout.draw_over_time(scene, f"{root}/{side}", style, times, strips)
+    certain = skeleton.certainty(pose)
     for side, (wrist, known) in skeleton.wrists(pose, points).items():
         shown = rows[known[rows]]
-        balls = rr.Points3D.columns(positions=wrist[shown]).partition(known[rows].astype(int))
-        style = rr.Points3D.from_fields(colors=skeleton.COLOURS[side], radii=0.05)
+        colours = [skeleton.doubtful(skeleton.COLOURS[side], sure) for sure in certain[side][shown]]
+        balls = rr.Points3D.columns(positions=wrist[shown], colors=colours).partition(known[rows].astype(int))
+        style = rr.Points3D.from_fields(radii=0.05)
         layout.draw_over_time(scene, f"{layout.BODY}/{side}/wrist", style, times, balls)
+    middle, known = (values[rows] for values in skeleton.heads(pose, points))
+    style = rr.Ellipsoids3D.from_fields(colors=skeleton.CENTRE, fill_mode="Solid")
+    heads = rr.Ellipsoids3D.columns(centers=middle[known], half_sizes=np.tile(_HEAD, (known.sum(), 1)))
+    layout.draw_over_time(scene, f"{layout.BODY}/head", style, times, heads.partition(known.astype(int)))
     if skeleton.feet_seen(pose):
         draw_floor(scene, f"{layout.BODY}/floor", np.zeros((1, 2)), tile=0.5)

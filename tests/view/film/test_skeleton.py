@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 
 from mimic.records import PoseTrack
@@ -32,3 +34,18 @@ def test_wrists_say_where_they_are_seen(pose: PoseTrack) -> None:
     wrists = skeleton.wrists(pose, pose.landmarks)
     assert wrists["left"][1].all()
     assert not wrists["right"][1].any()
+
+
+def test_head_is_unknown_without_ears(pose: PoseTrack) -> None:
+    assert not skeleton.heads(pose, pose.landmarks)[1].any()
+
+
+def test_a_wrist_is_paler_the_less_sure_it_is(pose: PoseTrack) -> None:
+    score = pose.score.copy()
+    score[:, pose.index("left_wrist")] = np.linspace(0.5, 1.0, len(pose.t))
+    sure = skeleton.certainty(replace(pose, score=score))["left"]
+    assert sure[0] == 0.0
+    assert sure[-1] == 1.0
+    whole, half, least = (skeleton.doubtful(skeleton.LEFT, value) for value in (1.0, 0.5, 0.0))
+    assert whole == skeleton.LEFT
+    assert sum(whole) < sum(half) < sum(least) < 3 * 255
