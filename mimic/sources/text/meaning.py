@@ -255,6 +255,11 @@ class _Clauses(Transformer[Any, Any]):
             return _amount(rule, children)
         if rule in CLAUSES:
             return _clause(rule, children, self.text[meta.start_pos : meta.end_pos])
+        if rule == "later":
+            (wait,) = [child for child in children if isinstance(child, _Amount)]
+            text = self.text[meta.start_pos : meta.end_pos]
+            waiting = Clause(text=text, rule="still", kind="WAIT", amounts={"seconds": wait.value})
+            return Tree(data, [waiting, *(child for child in children if child is not wait)])
         return Tree(data, children, meta)
 
 
@@ -405,6 +410,8 @@ class _Reader:
             if unit[0].repeats:
                 return [*groups, *self._again(unit[0], [*self.groups, *groups])]
             new = self._unit(unit)
+            if not new:
+                continue
             at_once = any(clause.has("TOGETHER") for clause in unit)
             if not groups:
                 wrong = at_once and (len(new) > 1 or len(new[0]) + len(new[0][0].sides) < 3)
@@ -434,6 +441,9 @@ class _Reader:
 
     def _unit(self, unit: list[Clause]) -> Groups:
         """Return the groups of clauses with one verb: what is said behind the last one belongs to all of them."""
+        if self._ends_the_walk(unit[0]):
+            return []
+        self._check_end(unit[0])
         rounds, shared = _share(unit)
         own: Groups = []
         in_turn = len(unit) > 1 and any(clause.words.pop("ALTERNATE", None) for clause in unit)
@@ -448,6 +458,16 @@ class _Reader:
             own = [list(map(_once, group)) for group in own]
             rounds = int(unit[-1].amounts["times"])
         return own * rounds
+
+    def _ends_the_walk(self, now: Clause) -> bool:
+        """Give a walk without an end the time of "stop after 5 seconds"; return whether that is what it was."""
+        before = self.before
+        if before is None or before.verb != "walk" or before.amounts:
+            return False
+        if now.kind != "WAIT" or not now.text.startswith("stop after"):
+            return False
+        before.amounts = dict(now.amounts)
+        return True
 
     def _clause(self, now: Clause, several: bool) -> Groups:
         """Return the groups of one clause."""
@@ -478,6 +498,12 @@ class _Reader:
             if ways and ways[0] and ways[0] == ways[-1]:
                 raise now.error(f"finds the {side} hand {ways[0]} already; say what it does before")
         return groups * int(times - 1 if now.has("TOTAL") else times)
+
+    def _check_end(self, now: Clause) -> None:
+        """Refuse "after 3 seconds" behind what lasts until something else is said."""
+        lasts = self.before is not None and self.before.verb in ("walk", *GESTURES) and not self.before.amounts
+        wrong = lasts and now.rule == "still" and now.text.startswith("after")
+        now.refuse(wrong, "does not say for how long it goes on before; say it, then what comes next")
 
     # ------------------------------------------------------------------ one action
 
@@ -578,16 +604,21 @@ class _Reader:
         now.refuse(wrong, f"has directions in which the robot does not {verb}; say forward or back")
         way = next(iter(now.ways), "forward")
         if way == "back" and self._faces_back(now):
+            if not now.amounts and len(self.way) > 1:
+                return self._come_back(now, speed)
             way = "forward"
         return Action(verb=verb, sides=tuple(sides), way=way, amounts=dict(now.amounts), speed=speed)
 
     def _faces_back(self, now: Clause) -> bool:
-        """Return whether "walk back 1 m" is the way back, forward: behind a turn by 180°."""
-        turned = bool(self.way) and self.way[-1].verb == "turn" and self.way[-1].amounts.get("degrees") == HALF
-        faces = turned and "back" in now.text.split() and "back up" not in now.text
-        unclear = now.rule != "walk" or now.kind == "MOVE" or not now.amounts
-        now.refuse(faces and unclear, "can mean backward or the way back; say backward or forward")
-        return faces
+        """Return whether "walk back" is the way back, forward: behind a turn by 180°."""
+        last = self.way[-1] if self.way else None
+        if last is None or last.verb != "turn" or last.amounts.get("degrees") != HALF or "back up" in now.text:
+            return False
+        if "back" not in now.text.split():
+            return False
+        unclear = now.rule != "walk" or now.kind == "MOVE"
+        now.refuse(unclear, "can mean backward or the way back; say backward or forward")
+        return True
 
     def _come_back(self, now: Clause, speed: float) -> Action:
         """Return the one walk before, the other way; the same way if the robot has turned around since."""
