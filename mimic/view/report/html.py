@@ -17,9 +17,9 @@ from mimic.sysid.result import EXPLAINED, Calibration, Errors
 from mimic.sysid.sentences import called
 from mimic.view.report.correlations import correlations
 from mimic.view.report.evidence import evidence
-from mimic.view.report.motion import worst_seconds
+from mimic.view.report.motion import by_phase, other_measures, worst_seconds
 from mimic.view.report.plots import Unit, against_state, over_time, spectra, torque_over_time, unit_for
-from mimic.view.report.sections import key, page, section, table, tiles
+from mimic.view.report.sections import joint_rows, key, page, pretty, section, table, tiles
 from mimic.view.report.svg import figure, number
 
 
@@ -41,6 +41,7 @@ def html_report(calibration: Calibration) -> str:
         _effects(calibration),
         _errors(calibration, unit),
         _logs(calibration, unit),
+        by_phase(calibration, unit),
         evidence(calibration),
         _unexplained(calibration),
         worst_seconds(calibration),
@@ -125,7 +126,7 @@ def _values(effects: Sequence[EffectValues], joints: Sequence[str], positions: s
 
 
 def _in(unit: str) -> str:
-    return f" [{escape(unit.replace('^2', '²'))}]" if unit else ""
+    return f" [{escape(pretty(unit))}]" if unit else ""
 
 
 def _value(e: EffectValues, parameter: str, i: int) -> str:
@@ -160,10 +161,7 @@ def _errors(c: Calibration, unit: Unit) -> str:
         f"Root mean square of measured − predicted [{unit.name}], to the end of blocks of 1.5 s. Held out: each block"
         " is predicted by a fit without it and every sixth block beside."
     )
-    rows = [("", [escape(joint), *cells(slice(j, j + 1))]) for j, joint in enumerate(c.joints)]
-    if len(rows) > 1:
-        rows.append(("total", ["all", *cells(slice(None))]))
-    return section("Errors", lead, table(headings, rows))
+    return section("Errors", lead, table(headings, joint_rows(c.joints, cells)), other_measures(c))
 
 
 def _logs(c: Calibration, unit: Unit) -> str:

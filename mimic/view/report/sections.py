@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
+
+import numpy as np
 
 from mimic.view.report.style import STYLE
 
@@ -46,3 +48,19 @@ def table(headings: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], ki
         lines.append(f"<tr{f' class={row_kind}' if row_kind else ''}>{texts}</tr>")
     opening = f"<table class={kind}>" if kind else "<table>"
     return f"<div class='wide'>{opening}<thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+
+
+def joint_rows(joints: Sequence[str], cells: Callable[[slice], list[str]]) -> list[tuple[str, list[str]]]:
+    """Return the rows of a table with the cells of each joint and, of several, of all, given their columns."""
+    rows = [("", [escape(joint), *cells(slice(j, j + 1))]) for j, joint in enumerate(joints)]
+    return [*rows, ("total", ["all", *cells(slice(None))])] if len(joints) > 1 else rows
+
+
+def pretty(unit: str) -> str:
+    """Return a unit in typographic form."""
+    return unit.replace("^2", "²")
+
+
+def fixed(value: float, digits: int) -> str:
+    """Return a number with this many decimals, or a dash if it is not finite."""
+    return f"{value:.{digits}f}".replace("-", "−") if np.isfinite(value) else "–"

@@ -55,6 +55,7 @@ svg .grid path{stroke:var(--grid);stroke-width:1}
 svg .line{fill:none;stroke-width:1;stroke-linejoin:round}
 svg .before{stroke:var(--before)}svg .after{stroke:var(--after)}
 svg .measured{stroke:var(--ink);stroke-width:1.1}svg .target{stroke:var(--soft);stroke-dasharray:1.5 3}
+svg rect.after{fill:var(--after);stroke:none}svg rect.before{fill:var(--before);stroke:none}
 svg .thick{stroke-width:1.8}
 svg .noise{stroke:var(--soft);stroke-dasharray:4 3}
 svg .band{stroke:none}svg .band.before{fill:var(--before);opacity:.16}svg .band.after{fill:var(--after);opacity:.2}

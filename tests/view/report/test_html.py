@@ -249,13 +249,20 @@ def test_measured_torque_has_plots_of_its_own_where_it_was_explained(calibration
     assert "Residual of the measured torque" not in page.text
 
 
-def test_correlated_numbers_are_listed(calibration: Calibration, page: Page) -> None:
+def test_correlated_numbers_are_listed_and_mapped(calibration: Calibration, page: Page) -> None:
     assert "Correlation of the fitted numbers" not in page.text
     names = ("coulomb.level of FL_hip", "link_mass.factor of FL_hip", "delay.time")
     matrix = np.array([[1.0, -0.91, 0.02], [-0.91, 1.0, 0.3], [0.02, 0.3, 1.0]])
     more = html_report(replace(calibration, correlations=Correlations(names=names, matrix=matrix)))
     text = Page(more).text
     assert "−0.91" in text
+    assert "delay.time with link_mass.factor of FL_hip: 0.30" in more
     assert len(re.findall("<td class=name>coulomb.level of FL_hip</td>", more)) == 1
     weak = Correlations(names=names, matrix=np.eye(3))
     assert "No two numbers are correlated" in Page(html_report(replace(calibration, correlations=weak))).text
+
+
+def test_errors_stand_in_degrees_and_as_mean_absolute_error(calibration: Calibration, page: Page) -> None:
+    residual = np.rad2deg(calibration.traces.after)
+    for size in (np.sqrt(np.mean(residual**2)), np.mean(np.abs(residual))):
+        assert f"{size:.4f}" in page.text

@@ -1,4 +1,4 @@
-"""Which second of a log is shown."""
+"""Which second of a log is shown, and the phases of a motion."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimic.sysid.result import Traces
-from mimic.view.report.motion import worst_second
+from mimic.view.report.motion import phases, worst_second
 
 T = np.arange(0.0, 20.0, 0.01)
 
@@ -46,3 +46,13 @@ def test_missing_errors_count_as_none(traces: Traces) -> None:
 def test_a_log_shorter_than_a_second_is_shown_whole(traces: Traces) -> None:
     short = {k: getattr(traces, k)[:50] for k in ("t", "q", "dq", "tau", "before", "after")}
     assert worst_second(Traces(**short), 0) == slice(0, 50)
+
+
+def test_each_row_is_in_one_phase(traces: Traces) -> None:
+    found = phases(traces, 0)
+    assert np.all(sum(rows.astype(int) for rows in found.values()) == 1)
+    assert np.all(found["at rest"][T >= 16.1])
+    for turn in (1.0, 3.0, 5.0):
+        assert found["reversing"][np.abs(T - turn) < 0.04].all()
+    assert found["slowing down"][(T > 0.2) & (T < 0.8)].all()
+    assert found["speeding up"][(T > 1.2) & (T < 1.8)].all()
