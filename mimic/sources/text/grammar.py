@@ -171,12 +171,27 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
         raise SourceError(f"{times} times is more than the {MOST_FRAMES} key frames of a motion")
     factor = said["seconds"] / (first + times * each) if "seconds" in said else 1.0
     rows = [(name, factor * seconds) for name, seconds in start + cycle * times]
+    if action.every:
+        rows = _every(action.every, start, cycle, times)
     for side in action.sides:
         timeline.hands[side] = [(seconds, _own(name, side, reach)) for name, seconds in rows]
     verb = "raise and lower" if action.verb == "cycle" else f"{action.verb} with"
     return f"{verb} {_who(action)} {times} time{'s' if times > 1 else ''}" + (
         f" in {said['seconds']:.3g} s" if "seconds" in said else ""
     )
+
+
+Rows = list[tuple[str, float]]
+
+
+def _every(period: float, start: Rows, cycle: Rows, times: int) -> Rows:
+    """Return a gesture at regular times: what is left of a period waits at its end, the first has the start."""
+    rows: Rows = []
+    for part in [start + cycle] + [cycle] * (times - 1):
+        needed = sum(seconds for _, seconds in part)
+        rows += [(name, seconds * min(1.0, period / needed)) for name, seconds in part]
+        rows += [(part[-1][0], period - needed)] * (period > needed + 1e-6)
+    return rows
 
 
 def _place(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:

@@ -64,15 +64,28 @@ UP_AGAIN = {stays: comes for comes, stays in LASTING.items()}
 STAYS = {"hold", "stay", "keep", "remain", "freeze"}
 ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
 LITTLE = {"turn": ("degrees", 30.0), "walk": ("metres", 0.25), "step": ("metres", 0.15)}
+FURTHER = {
+    "far": "metres",
+    "distance": "metres",
+    "long": "seconds",
+    "time": "seconds",
+    "often": "times",
+    "times": "times",
+}
 IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT", "ONE_TWO"}
 BOTH = ("left", "right")
 OPPOSITE = {"left": "right", "right": "left"}
 VERBS_SAID = (
     "step, walk, turn, stop, wait, wave, punch, jab, raise, lower, open, put, move, hold, point, stretch, crouch or bow"
 )
-AMOUNTS = {"seconds", "metres", "mps", "degrees", "times", "turns", "count", "bare", "steps", "circle"}
+AMOUNTS = {
+    "seconds", "metres", "mps", "degrees", "times", "turns", "count", "bare", "steps", "every", "pause", "circle",
+}  # fmt: skip
 NAMED = {"GUARD": "guard", "T_POSE": "open"}  # postures of both hands
-CLAUSES = {"step", "walk", "turn", "still", "gesture", "place", "trunk", "pose", "repeat", "more"}
+CLAUSES = {
+    "step", "walk", "turn", "still", "gesture", "place", "trunk", "pose", "repeat", "switch", "more", "forbid",
+    "without",
+}  # fmt: skip
 KINDS = {*VERBS, *TRUNK_WAYS, *NAMED, "TURN_AROUND", "COME_BACK", "HIGH_FIVE", "ONE_TWO", "REPEAT", "REPEAT_ALL"}
 
 
@@ -86,6 +99,7 @@ class Action:
     amounts: dict[str, float] = field(default_factory=dict)  # times, seconds, degrees, metres, mps, as said
     stays: bool = True  # whether the seconds are how long a posture is held, not how long the movement takes
     speed: float = 1.0
+    every: float = 0.0  # from one gesture to the next [s]
     rounds: int = 1  # how often it is done with the posture before it
 
     @property
@@ -114,12 +128,14 @@ class Clause:
     amounts: dict[str, float] = field(default_factory=dict)
     stays: bool = True
     last: str = ""  # the amount with which it ends
+    pause: float = 0.0  # between its parts [s]
+    every: float = 0.0  # from one to the next [s]
     along: list[Clause] = field(default_factory=list)
 
     @property
     def bare(self) -> bool:
         """Whether it only adds an amount or a pace to the clause before."""
-        own = self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING", "SAME", "MORE"}
+        own = self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING", "RELATIVE", "SAME", "MORE"}
         return not (self.kind or self.ways or own or "bare" in self.amounts or self.rule != "more")
 
     @property
@@ -154,6 +170,8 @@ class Clause:
             self.amount(name, value)
         for kind, said in other.words.items():
             self.words[kind] = self.words.get(kind, []) + said
+        self.pause = other.pause or self.pause
+        self.every = other.every or self.every
         self.stays = self.stays and other.stays
         self.last = other.last or self.last
 
@@ -265,6 +283,8 @@ class _Clauses(Transformer[Any, Any]):
 
 def _amount(name: str, children: list[Any]) -> _Amount:
     tokens = [child for child in children if isinstance(child, Token)]
+    for inner in (child for child in children if isinstance(child, _Amount)):
+        return _Amount(name, inner.value, tokens)  # a pause
     value = next((number(token) for token in tokens if token.type in ("NUMBER", "ONCE")), 1.0)
     value += 0.5 * any(token.type == "AND_HALF" for token in tokens)
     for token in tokens:
@@ -285,6 +305,9 @@ def _clause(rule: str, children: list[Any], text: str) -> Clause:
 
 
 def _note_amount(now: Clause, said: _Amount) -> None:
+    if said.name in ("every", "pause"):
+        setattr(now, said.name, said.value)
+        return
     kinds = {token.type for token in said.tokens}
     name = {"count": "times", "steps": "times", "turns": "degrees", "circle": "degrees"}.get(said.name, said.name)
     if said.name == "steps" or (now.kind == "" and kinds & {"HALF_TURN", "QUARTER_TURN", "FULL_TURN", "CIRCLE"}):
@@ -327,9 +350,12 @@ class _Reader:
         self.before: Action | None = None
         self.done: Action | None = None  # the last one that was no wait
         self.said: Clause | None = None
+        self.walk: Action | None = None
         self.turns: list[Action] = []  # since it faced as at first, or turned back
         self.way: list[Action] = []  # walks and turns since it came back
+        self.forbidden: list[tuple[int, Clause]] = []  # from which group on
         self.at: dict[str, str] = {}  # posture in which each hand is
+        self.switched = False
 
     def read(self, tree: Tree[Any]) -> Groups:
         """Return the groups of a sentence."""
@@ -341,8 +367,16 @@ class _Reader:
                         "'after', 'before' or 'first' comes behind more than one action; say them in order"
                     )
                 found = found[::-1]
+            elif part.data == "around":
+                found = [*found, found[0]]
             self.groups += [group for groups in found for group in groups]
         self._repeat_pairs()
+        self.groups += self._switch(None)
+        for start, clause in self.forbidden:
+            for action in (action for group in self.groups[start:] for action in group):
+                clause.refuse(_is_forbidden(action, clause), "is said of something that the sentence asks for")
+        if not self.groups:
+            raise SourceError("the sentence says only what not to do; say what to do, too")
         return self.groups
 
     def _repeat_pairs(self) -> None:
@@ -389,6 +423,8 @@ class _Reader:
         early = [self._unit([clause]) for clause in item.during] if item.leads else []
         groups = self._joined(item.clauses) * item.rounds
         late = [self._unit([clause]) for clause in item.during] if not item.leads else []
+        if not groups and item.during:
+            raise item.during[0].error("goes with nothing; say what goes on meanwhile")
         for more in (*early, *late):
             if len(groups) > 1 and (item.clear or item.rounds > 1):
                 raise item.during[0].error("goes with several actions; say with which")
@@ -441,9 +477,14 @@ class _Reader:
 
     def _unit(self, unit: list[Clause]) -> Groups:
         """Return the groups of clauses with one verb: what is said behind the last one belongs to all of them."""
+        if unit[0].rule in ("forbid", "without"):
+            self.forbidden.append((len(self.groups), unit[0]))
+            return []
         if self._ends_the_walk(unit[0]):
             return []
-        self._check_end(unit[0])
+        groups = self._switch(unit[0])
+        if unit[0].kind == "SWITCH":
+            return groups
         rounds, shared = _share(unit)
         own: Groups = []
         in_turn = len(unit) > 1 and any(clause.words.pop("ALTERNATE", None) for clause in unit)
@@ -457,7 +498,7 @@ class _Reader:
             unit[-1].refuse(shared == "seconds", "has one time for two things one after the other; say it for each")
             own = [list(map(_once, group)) for group in own]
             rounds = int(unit[-1].amounts["times"])
-        return own * rounds
+        return [*groups, *(_apart(own * rounds, unit[-1].pause) if len(unit) > 1 else own)]
 
     def _ends_the_walk(self, now: Clause) -> bool:
         """Give a walk without an end the time of "stop after 5 seconds"; return whether that is what it was."""
@@ -472,10 +513,7 @@ class _Reader:
     def _clause(self, now: Clause, several: bool) -> Groups:
         """Return the groups of one clause."""
         action = self._action(now)
-        once = now.has("EACH") and len(action.sides) != 2 and not several
-        in_turn = now.has(*IN_TURN) or now.kind == "ONE_TWO" or _by_hand(now, action)
-        now.refuse(once and not in_turn, "has 'each' for one thing; say it for each")
-        groups = _in_turn(now, action) if in_turn else [[action]]
+        groups = _in_turn(now, action) if _is_in_turn(now, action) else _with_pauses(now, action, several)
         for pose in now.along:
             unclear = action.verb in GESTURES and not now.has("HAND", "LEFT", "RIGHT")
             now.refuse(unclear, "does not say which hand; say left hand, right hand or both hands")
@@ -499,11 +537,34 @@ class _Reader:
                 raise now.error(f"finds the {side} hand {ways[0]} already; say what it does before")
         return groups * int(times - 1 if now.has("TOTAL") else times)
 
-    def _check_end(self, now: Clause) -> None:
-        """Refuse "after 3 seconds" behind what lasts until something else is said."""
+    def _switch(self, now: Clause | None) -> Groups:
+        """Return what a "switch" before this clause asks for: the same with the other hand, or only that hand next."""
+        pending = self.switched
+        self.switched = now is not None and now.kind == "SWITCH"
         lasts = self.before is not None and self.before.verb in ("walk", *GESTURES) and not self.before.amounts
-        wrong = lasts and now.rule == "still" and now.text.startswith("after")
-        now.refuse(wrong, "does not say for how long it goes on before; say it, then what comes next")
+        if now is not None and now.rule == "still" and now.text.startswith("after"):
+            now.refuse(lasts, "does not say for how long it goes on before; say it, then what comes next")
+        if self.switched and now is not None:
+            one = self.done is not None and not self.done.moves_base and len(self.hands) == 1
+            now.refuse(not one, "does not say from which hand; say with which hand to go on")
+        if not pending or self.done is None:
+            return []
+        self.hands = (OPPOSITE[self.hands[0]],)
+        if now is not None and now.rule == "gesture" and not now.has("HAND", "LEFT", "RIGHT"):
+            now.words["HAND"] = [f"{self.hands[0]} hand"]
+            return []
+        return [self._switched(self.done)]
+
+    def _switched(self, before: Action) -> list[Action]:
+        """Return an action with the other hand; where both hands were told a posture, they exchange it."""
+        other = replace(before, sides=self.hands)
+        self.before = other
+        if other.verb != "place":
+            return [other]
+        if all(self.at.get(side) for side in BOTH):
+            self.at = {side: self.at[OPPOSITE[side]] for side in BOTH}
+            return [replace(other, sides=(side,), way=self.at[side]) for side in BOTH]
+        return [other, Action(verb="place", sides=before.sides, way="down")]
 
     # ------------------------------------------------------------------ one action
 
@@ -512,6 +573,8 @@ class _Reader:
         if not now.kind:
             self._inherit(now)
         self._after_the_trunk(now)
+        if now.has("RELATIVE"):
+            self._relate(now)
         paces = [PACES[kind] for kind in now.words if kind in PACES for _ in now.words[kind]]
         now.refuse(len(paces) > 1 or (paces and "mps" in now.amounts), "has two speeds; say one")
         speed = paces[0] if paces else 1.0
@@ -528,6 +591,7 @@ class _Reader:
         if not action.moves_base and not action.moves_trunk:
             self.hands = action.sides
             self.at |= dict.fromkeys(action.sides, action.way)
+        self.walk = action if action.verb in ("walk", "step") else self.walk
         if action.verb in WAYS_GONE:
             self.way.append(action)
         self.before = action
@@ -549,7 +613,7 @@ class _Reader:
             before.verb = LASTING.get(before.verb, before.verb)
 
     def _inherit(self, now: Clause) -> None:
-        """Find the verb of a clause without one: "left hand up", "then the right"."""
+        """Find the verb of a clause without one: "left hand up", "then the right", "and half of that back"."""
         before = self.before
         said = self.said
         if now.ways and (now.has("HAND") or (now.has("LEFT", "RIGHT") and not (before and before.moves_base))):
@@ -575,13 +639,28 @@ class _Reader:
             now.amount("times", now.amounts.pop("bare"))
         if now.has("SAME"):
             now.amounts = before.amounts | now.amounts
-        unsaid = before.amounts and not now.amounts
+        unsaid = before.amounts and not (now.amounts or now.has("RELATIVE"))
         now.refuse(unsaid, "does not say how far, how long or how often; say it for each")
         now.kind = said.kind
         kept = set() if now.has(*PACES) else PACES.keys() & said.words.keys()
         now.words |= {kind: said.words[kind] for kind in kept}
         if counts or not before.moves_base:
             now.ways = now.ways or set(said.ways)
+
+    def _relate(self, now: Clause) -> None:
+        """Turn "twice as far" and "half of that" into an amount of what was said before."""
+        words = now.words["RELATIVE"][0].split()
+        factor = number(" ".join(words[:1])) if words[0] in NUMBERS else 1.0
+        names = {FURTHER[word] for word in words[1:] if word in FURTHER} or set(
+            self.before.amounts if self.before else ()
+        )
+        last = self.walk if names == {"metres"} else self.before
+        before = last.amounts if last else {}
+        name = next(iter(names & before.keys()), "")
+        if names == {"metres"} and not name:  # "step twice, then half as far back", "walk for 2 seconds, then …"
+            name = next((other for other in ("times", "seconds") if other in before), "")
+        now.refuse(not name, "compares with nothing that was said before; say how far, how long or how often")
+        now.amount(name, factor * before[name])
 
     def _base(self, now: Clause, speed: float) -> Action:
         now.refuse(speed > PACES["FAST"], "is faster than the robot walks or turns; say quickly, or a speed")
@@ -674,7 +753,11 @@ class _Reader:
     def _of_hands(self, now: Clause, speed: float) -> Action:
         now.refuse("bare" in now.amounts, f"has the number {now.amounts.get('bare', 0):g} without a unit; say times")
         amounts = dict(now.amounts)
-        action = Action(verb="", sides=self._sides(now), amounts=amounts, stays=now.stays, speed=speed)
+        action = Action(verb="", sides=self._sides(now), amounts=amounts, stays=now.stays, speed=speed, every=now.every)
+        if now.every:
+            now.refuse(not amounts, "does not say how long or how often")
+            amounts["times"] = amounts.get("times") or max(1.0, round(amounts["seconds"] / now.every))
+            amounts["seconds"] = now.every * amounts["times"]
         if now.kind in NAMED:
             action.verb = "place"
             action.way = NAMED[now.kind]
@@ -791,6 +874,16 @@ def _moves_base(now: Clause) -> bool:
     return now.kind in ("STEP", "WALK", "COME_BACK", "STOP", "WAIT", "TURN", "SPIN", "TURN_AROUND")
 
 
+def _is_forbidden(action: Action, said: Clause) -> bool:
+    """Return whether an action is what must not be done: with the hand that is named, or of the kind that is."""
+    if said.kind in ("STEP", "WALK", "TURN", "SPIN", "TURN_AROUND"):
+        return (action.verb == "turn") == said.kind.startswith(("TURN", "SPIN")) and action.verb in WAYS_GONE
+    if not said.has("HAND", "LEFT", "RIGHT"):
+        return said.kind != "MOVE" or action.verb in WAYS_GONE
+    named = {word for kind in ("HAND", "LEFT", "RIGHT") for words in said.words.get(kind, []) for word in words.split()}
+    return not action.moves_base and bool(named & {*action.sides} or not named & {*BOTH})
+
+
 def _takes(action: Action) -> tuple[str, ...]:
     """Return the amounts that an action takes."""
     if action.verb in GESTURES:
@@ -810,6 +903,7 @@ def _share(unit: list[Clause]) -> tuple[int, str]:
     """Give what is said behind the last of several clauses to all; return how often all is done, and what is shared."""
     last = unit[-1]
     others = unit[:-1]
+    last.refuse(any(clause.pause for clause in others), "comes behind a pause between parts; put the pause last")
     if not others:
         return 1, ""
     _share_words(unit)
@@ -849,9 +943,23 @@ def _rounds(unit: list[Clause]) -> tuple[int, str]:
     return int(last.amounts.pop("times")), "" if name == "times" else name
 
 
+def _is_in_turn(now: Clause, action: Action) -> bool:
+    return now.has(*IN_TURN) or now.kind == "ONE_TWO" or _by_hand(now, action)
+
+
 def _by_hand(now: Clause, action: Action) -> bool:
     """Return whether each hand does all of it: "wave twice with each hand"."""
     return now.words.get("HAND", [""])[0].startswith("each") and action.verb != "place"
+
+
+def _with_pauses(now: Clause, action: Action, several: bool) -> Groups:
+    """Return an action as often as it is said, with pauses in between."""
+    now.refuse(now.has("EACH") and len(action.sides) != 2 and not several, "has 'each' for one thing; say it for each")
+    if not now.pause or several:
+        return [[action]]
+    times = int(action.amounts.get("times", 0))
+    now.refuse(not times, "has a pause between nothing; say what comes before and behind it")
+    return _apart([[_once(action)]] * times, now.pause)
 
 
 def _in_turn(now: Clause, action: Action) -> Groups:
@@ -862,7 +970,7 @@ def _in_turn(now: Clause, action: Action) -> Groups:
     pair = now.kind == "ONE_TWO"
     each = by_hand or pair or now.has("EACH")
     once = action.amounts if by_hand else {"times": 1.0}
-    unclear = seconds and (times or each or action.verb == "place")
+    unclear = seconds and (times or each or now.pause or action.verb == "place")
     now.refuse(unclear, "has a time for hands in turn; say how often instead")
     either = now.last == "times" and now.text.startswith("alternat") and not now.has("EACH")
     now.refuse(either, "can count single moves or pairs; say how many for each hand")
@@ -874,7 +982,7 @@ def _in_turn(now: Clause, action: Action) -> Groups:
         count = max(2, round(seconds * action.speed / ONE_GESTURE))
         once = {"times": 1.0, "seconds": seconds / count}
     once = {} if action.verb == "place" else once
-    return [[replace(action, sides=(order[n % 2],), amounts=dict(once))] for n in range(count)]
+    return _apart([[replace(action, sides=(order[n % 2],), amounts=dict(once))] for n in range(count)], now.pause)
 
 
 def _at_once(group: list[Action], action: Action) -> bool:
@@ -919,3 +1027,9 @@ def _check_both(action: Action, other: Action) -> None:
 
 def _once(action: Action) -> Action:
     return replace(action, amounts={**action.amounts, "times": 1.0})
+
+
+def _apart(groups: Groups, pause: float) -> Groups:
+    """Return groups with a pause [s] between them."""
+    wait = [[Action(verb="wait", amounts={"seconds": pause})]] if pause else []
+    return [part for n, group in enumerate(groups) for part in ([*wait, group] if n else [group])]

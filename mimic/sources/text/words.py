@@ -14,7 +14,7 @@ from mimic.errors import SourceError
 
 VERBS = {
     "STEP", "WALK", "MOVE", "STOP", "WAIT", "HOLD", "TURN", "SPIN", "WAVE", "PUNCH", "JAB", "CROSS", "HOOK", "UPPERCUT",
-    "CYCLE", "RAISE", "LOWER", "OPEN", "CLOSE", "PUT", "EXTEND", "STRETCH",
+    "CYCLE", "RAISE", "LOWER", "OPEN", "CLOSE", "PUT", "EXTEND", "STRETCH", "SWITCH",
     "CROUCH", "SQUAT", "BOW", "LEAN",
 }  # fmt: skip
 SHORTEST = 4  # letters of a word in which one may be wrong; two may have changed places in any
@@ -26,6 +26,7 @@ _REWRITTEN = (  # phrases that mean others
     (r"\bretreat(ing)?\b", r"walk\1 back"),
     (r"\b(half|quarter)( of)? an? ", r"\1 "),
     (r"\ban?(other)? (?=(second|minute|met(re|er)|foot)\b)", "1 "),
+    (r"\b(every|per) (?=second\b)", r"\1 1 "),
     (
         r"\b(jab|cross|hook|uppercut|punch|box|spin|wave|step)s? "
         r"(?=((left|right) )?(jab|cross|hook|uppercut)s?\b|\1\b)",
