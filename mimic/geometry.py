@@ -49,15 +49,20 @@ def rotation_from_quat(quat_AB: Any) -> NDArray[np.float64]:
 
 def multiply_quats(quat_AB: Any, quat_BC: Any) -> NDArray[np.float64]:
     """Return quat_AC (..., 4) of two rotations one after the other, wxyz."""
-    a, b, c, d = quat_parts(quat_AB)
-    w, x, y, z = quat_parts(quat_BC)
-    parts = (
+    parts = _product(quat_parts(quat_AB), quat_parts(quat_BC))
+    return np.array(parts) if isinstance(parts[0], float) else np.stack(parts, axis=-1)
+
+
+def _product(first: tuple[Any, ...], second: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the product of two quaternions, each in its four parts, wxyz."""
+    a, b, c, d = first
+    w, x, y, z = second
+    return (
         a * w - b * x - c * y - d * z,
         a * x + b * w + c * z - d * y,
         a * y - b * z + c * w + d * x,
         a * z + b * y - c * x + d * w,
     )
-    return np.array(parts) if isinstance(parts[0], float) else np.stack(parts, axis=-1)
 
 
 def turned_about_up(quat_WB: Any, angle: float) -> NDArray[np.float64]:
@@ -74,16 +79,7 @@ def turned_by(quat_WB: Any, rotation: Any, xp: Any) -> Any:
     share = xp.sin(0.5 * angle) / angle
     a = xp.cos(0.5 * angle)
     b, c, d = (rotation[..., i] * share for i in range(3))
-    w, x, y, z = (quat_WB[..., i] for i in range(4))
-    return xp.stack(
-        [
-            a * w - b * x - c * y - d * z,
-            a * x + b * w + c * z - d * y,
-            a * y - b * z + c * w + d * x,
-            a * z + b * y - c * x + d * w,
-        ],
-        -1,
-    )
+    return xp.stack(_product((a, b, c, d), tuple(quat_WB[..., i] for i in range(4))), -1)
 
 
 def without_pitch(quat_WB: Any, pitch: Any, xp: Any) -> Any:
