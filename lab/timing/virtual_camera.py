@@ -38,7 +38,6 @@ from mimic.sources.video.screening import person_rows
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "videos"
 STEPS = RetargetSettings()
-TRUE = RetargetSettings()
 LATEST = 0.4
 """Longest delay that is tried [s]."""
 
@@ -109,7 +108,7 @@ def main() -> None:
     print("| clip | person to toes | toes apart then |\n|---|---|---|")
     for path in options.videos or sorted(EXAMPLES.glob("*.mp4")):
         log, began = in_wall_time(path) if options.wall else in_virtual_time(path, options.delay, reach)
-        true = target_track(wrist_track(true_track(path, track_video(path)), TRUE), reach, TRUE)
+        true = target_track(wrist_track(true_track(path, track_video(path)), STEPS), reach, STEPS)
         rows = (log.phase == PHASES.index("blend")) | (log.phase == PHASES.index("track"))  # it runs from the blend on
         t = log.t[rows] - log.t[rows][0] + began
         toes = log.p_BE[rows]

@@ -22,7 +22,6 @@ from mimic.view.film.skeleton import soft
 from mimic.view.scene.robot_shapes import TARGET_RADIUS, in_world, qpos_at_ticks
 from mimic.view.scene.timing import (
     PHASE_TITLES,
-    TIME_TOLERANCE,
     camera_path,
     frame_numbers,
     initial_heading,
@@ -147,6 +146,7 @@ def save_video(
     errors = 100 * np.linalg.norm(log.p_BE - log.p_BE_des, axis=-1)
     newtons = None if pull is None else np.linalg.norm(pull[1], axis=1)
     video_frames = None if video is None or pose is None else _video_frames(video, pose, times, height)
+    frame_texts = [f"frame {n} of {len(pose.t)}" for n in frame_numbers(clock, pose.t)] if pose is not None else []
 
     band = text_band(height)
     shown: dict[str, Any] = {"width": height, "height": height - band, "targets": targets, "pose": pose, "pull": pull}
@@ -155,7 +155,7 @@ def save_video(
         with RobotFilm(log, description, **shown) as film:
             for done, tick in enumerate(ticks, start=1):
                 robot = np.pad(film.picture(int(tick)), ((0, band), (0, 0), (0, 0)))
-                said = [] if pose is None else [_frame_text(clock[tick : tick + 1], pose.t)]
+                said = frame_texts[tick : tick + 1]
                 said += [] if newtons is None else [f"pull {newtons[tick]:.1f} N"]
                 _caption(robot, log, int(tick), float(clock[tick]), said, errors[tick])
                 yield robot if video_frames is None else np.hstack([next(video_frames), robot])
@@ -168,11 +168,10 @@ def save_video(
 
 def _video_frames(video: Path, pose: PoseTrack, times: FloatArray, height: int) -> Iterator[np.ndarray]:
     """Yield the video frame at each of the times [s], overlaid with the skeleton."""
-    on = np.clip(np.searchsorted(pose.t, times + TIME_TOLERANCE, side="right") - 1, 0, len(pose.t) - 1)
     frames = footage.read_frames(video, height=height)
     at = -1
     picture = None
-    for row in on:
+    for row in frame_numbers(times, pose.t):
         while at < row:
             picture = next(frames)
             at += 1
@@ -202,12 +201,6 @@ def _draw_skeleton(picture: np.ndarray, pose: PoseTrack, row: int) -> None:
 
 def _pixel(point: FloatArray) -> tuple[int, int]:
     return round(float(point[0])), round(float(point[1]))
-
-
-def _frame_text(moment: FloatArray, frames: FloatArray) -> str:
-    """Return which frame of the video is shown at a moment (1,) [s]: the first one before it, the last one after it."""
-    number = int(np.clip(frame_numbers(moment, frames)[0], 0, len(frames) - 1))
-    return f"frame {number} of {len(frames)}"
 
 
 def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float, said: list[str], error: FloatArray) -> None:

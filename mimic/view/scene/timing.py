@@ -36,18 +36,13 @@ def shared_time(log: RunLog) -> FloatArray:
 
 
 def frame_numbers(t: FloatArray, frames: FloatArray) -> IntArray:
-    """Return the number of the video frame at each time [s]; it goes on evenly before and after the video.
+    """Return the number of the video frame at each time [s]: the first one before the video, the last one after it.
 
     Args:
         t: Times on the shared clock (N,) [s].
         frames: Times of the frames of the video (F,), at least one [s].
     """
-    step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
-    number = np.searchsorted(frames, t + TIME_TOLERANCE, side="right") - 1
-    before = np.floor((t - frames[0] + TIME_TOLERANCE) / step)
-    after = np.floor((t - frames[-1]) / step)
-    number = np.where(t < frames[0], before, number)
-    return np.where(t > frames[-1], len(frames) - 1 + after, number).astype(np.int64)
+    return np.clip(np.searchsorted(frames, t + TIME_TOLERANCE, side="right") - 1, 0, len(frames) - 1)
 
 
 def hold_first_row(t: FloatArray, start: float) -> tuple[FloatArray, IntArray]:

@@ -33,8 +33,8 @@ def test_camera_follows_steps_of_the_base_smoothly(log: RunLog) -> None:
     assert log.p_WB[0, 0] <= path[0, 0] <= path[-1, 0] <= log.p_WB[-1, 0]
 
 
-def test_frame_numbers_follow_the_frames_and_go_on_beside_them() -> None:
+def test_frame_numbers_follow_the_frames_and_stay_beside_them() -> None:
     frames = np.array([0.0, 0.1, 0.2, 0.4, 0.5])
     at = np.array([-0.25, -0.05, 0.0, 0.0999, 0.15, 0.35, 0.4, 0.5, 0.65])
-    assert frame_numbers(at, frames).tolist() == [-3, -1, 0, 1, 1, 2, 3, 4, 5]
+    assert frame_numbers(at, frames).tolist() == [0, 0, 0, 1, 1, 2, 3, 4, 4]
     assert frame_numbers(np.array([0.0]), np.array([0.0])).tolist() == [0]
