@@ -19,7 +19,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from reprlib import repr as short
 from typing import Any
 
 import numpy as np
@@ -34,8 +33,12 @@ MOST_FRAMES = 100
 """Maximum number of key frames of a motion."""
 LARGEST = 1_000_000
 """Maximum size of a file or an answer [characters]."""
+DEEPEST = 10
+"""Deepest nesting of a file."""
 MOST_SHOWN = 8
 """Errors that are told."""
+MOST_ITEMS = 20_000
+"""Most items of a file."""
 _PAIR = tuple[float, float]
 _LEG = tuple[float, float, float]
 FIELDS = {"duration": float, "velocity": _PAIR, "heading_deg": float, "left_deg": _LEG, "right_deg": _LEG}
@@ -88,7 +91,7 @@ def frames_from(data: Any) -> tuple[tuple[KeyFrame, ...], list[str]]:
     """
     rows = data.get("frames") if isinstance(data, Mapping) else data
     if not isinstance(rows, list) or not rows:
-        return (), [f"expected a list of frames under 'frames', got {short(rows)}"]
+        return (), [f"expected a list of frames under 'frames', got {_short(rows)}"]
     if len(rows) > MOST_FRAMES:
         return (), [f"there are {len(rows)} frames; at most {MOST_FRAMES} are played"]
     errors: list[str] = []
@@ -112,8 +115,8 @@ def frames_from(data: Any) -> tuple[tuple[KeyFrame, ...], list[str]]:
 
 def _numbers(row: Any, where: str) -> tuple[dict[str, Any], list[str]]:
     if not isinstance(row, Mapping):
-        return {}, [f"{where} is {short(row)}; expected a mapping with {', '.join(FIELDS)}"]
-    errors = [f"{where} has {short(name)}, which is unknown" for name in row if name not in (*FIELDS, *TRUNK, "what")]
+        return {}, [f"{where} is {_short(row)}; expected a mapping with {', '.join(FIELDS)}"]
+    errors = [f"{where} has {_short(name)}, which is unknown" for name in row if name not in (*FIELDS, *TRUNK, "what")]
     errors += [f"{where} lacks {name}" for name in FIELDS if name not in row]
     values: dict[str, Any] = dict.fromkeys(TRUNK, 0.0)
     for name, hint in (FIELDS | TRUNK).items():
@@ -122,11 +125,16 @@ def _numbers(row: Any, where: str) -> tuple[dict[str, Any], list[str]]:
         try:
             values[name] = fitted(row[name], hint)
         except TypeError:
-            errors.append(f"{where}: {name} is {short(row[name])}; expected {expected(hint)}")
+            errors.append(f"{where}: {name} is {_short(row[name])}; expected {expected(hint)}")
             continue
         if not (np.abs(values[name]) < 1e9).all():  # NaN fails too
-            errors.append(f"{where}: {name} is {short(row[name])}; expected finite numbers")
+            errors.append(f"{where}: {name} is {_short(row[name])}; expected finite numbers")
     return values, errors
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "…"
 
 
 def plain_frame(frame: KeyFrame) -> dict[str, Any]:
@@ -181,7 +189,9 @@ def read_keyframes(path: Path) -> KeyFrames:
     if path.stat().st_size > LARGEST:
         raise SourceError(f"{path.name} has {path.stat().st_size} bytes; a motion in key frames has at most {LARGEST}")
     try:
-        data = yaml.safe_load(read_text(path))
+        text = read_text(path)
+        _check_size(text, path.name)
+        data = yaml.safe_load(text)
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise SourceError(f"{path.name} is not valid YAML: {' '.join(str(error).split())}") from None
     frames, errors = frames_from(data)
@@ -189,6 +199,22 @@ def read_keyframes(path: Path) -> KeyFrames:
         raise SourceError(f"{path.name} cannot be played: {one_line(errors)}")
     header = data if isinstance(data, Mapping) else {}
     return KeyFrames(frames=frames, sentence=str(header.get("sentence", "")), planner=str(header.get("planner", "")))
+
+
+def _check_size(text: str, name: str) -> None:
+    """Refuse what a motion never has and what makes YAML expand: aliases, deep nesting, many items."""
+    import yaml
+
+    depth = 0
+    for count, event in enumerate(yaml.parse(text, Loader=yaml.SafeLoader)):
+        if isinstance(event, yaml.AliasEvent):
+            raise SourceError(f"{name} has the YAML alias *{event.anchor}; a motion in key frames has none")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST or count > MOST_ITEMS:
+            raise SourceError(
+                f"{name} is nested more than {DEEPEST} levels deep or has more than {MOST_ITEMS} items; expected a "
+                f"list of at most {MOST_FRAMES} key frames"
+            )
 
 
 def one_line(errors: list[str]) -> str:

@@ -113,6 +113,7 @@ HOSTILE = {
     + "".join(f"{n}: &{n} [{','.join([f'*{m}'] * 9)}]\n" for m, n in zip("abcdefgh", "bcdefghi", strict=True)),
     "an alias to itself": "frames: &f [*f]",
     "depth": "frames: " + "[" * 100_000,
+    "many items": "frames: [" + "1," * 400_000 + "1]",
 }
 
 
@@ -120,7 +121,7 @@ HOSTILE = {
 def test_yaml_that_expands_is_refused_in_one_line(name, tmp_path):
     path = tmp_path / "motion.yaml"
     path.write_text(HOSTILE[name])
-    with pytest.raises(SourceError, match=r"expected a (list|mapping)|is not valid YAML") as error:
+    with pytest.raises(SourceError, match=r"YAML alias|nested more than 10 levels") as error:
         read_keyframes(path)
     assert len(str(error.value)) < 300
     assert "\n" not in str(error.value)
