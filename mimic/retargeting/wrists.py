@@ -29,6 +29,8 @@ MAX_TURN = np.radians(45)
 """A larger turn away from the clip's heading mixes forward and sideways motion [rad]."""
 MIN_ARM_SHARE = 0.8
 """An arm that is visible in a smaller share of the frames is reported."""
+SHOWN_GAPS = 4
+"""At most this many of the times at which it is hidden are named, the longest ones."""
 HEADING_KNOWN = "6° wrong of who stands, 17° at most; of who sits 11° and 18°"
 """By how much the heading is off, average and most of thirteen and of four views (lab/people/left_out.py)."""
 DEPTH_VISIBLE = "20–65 %"
@@ -132,23 +134,42 @@ def _without_steps(pose: PoseTrack, heading: FloatArray) -> FloatArray:
     return result
 
 
-def depth_note(heading: float, spread: FloatArray) -> str:
-    """Return a sentence about the motion that a camera barely sees: along its line of sight.
+def camera_axis(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> tuple[float, float, float]:
+    """Return the direction in which the camera looks, in torso axes, at the clip's median heading.
+
+    The video shows little of the motion along this axis. (-1, 0, 0) is a camera in front of the person.
+    """
+    middle = float(np.median(torso_heading(pose, settings)))
+    x, y, z = _camera_from_torso(middle).T @ np.array([0.0, 0.0, 1.0])
+    return float(x), float(y), float(z)
+
+
+def depth_note(axis: tuple[float, float, float], spread: FloatArray | None = None) -> str:
+    """Return a sentence about the motion that a camera along this axis of the torso barely sees.
 
     Args:
-        heading: Of the torso; 0 faces the camera [rad].
-        spread: Standard deviation of the depth of both wrists where they were seen (N,) [m]; empty if it was not
-            estimated.
+        axis: Direction in which the camera looks, torso axes.
+        spread: Standard deviation of the depth of both wrists where they were seen (N,) [m]; None or empty if it was
+            not estimated.
     """
-    angle = float(np.degrees(np.arccos(np.cos(heading))))
-    where = "in front of" if angle < 60 else "beside" if angle < 120 else "behind"
-    camera = f"The camera is {where} the person, {angle:.0f}° from straight ahead ({HEADING_KNOWN})."
-    if not len(spread):
-        return f"{camera} It sees only {DEPTH_VISIBLE} of the motion along its line of sight; film from another side."
+    off_forward = np.degrees(np.arctan2(abs(axis[1]), abs(axis[0])))
+    if off_forward < 30:
+        what = "reaching forward and back"
+        better = "from the side or a three-quarter view"
+    elif off_forward > 60:
+        what = "reaching to the left and right"
+        better = "from the front or a three-quarter view"
+    else:
+        what = "reaching along the diagonal toward the camera"
+        better = "from the side that shows the motion best"
+    where = "behind" if axis[0] > 0.5 else "in front of" if axis[0] < -0.5 else "beside"
+    camera = f"The camera is {where} the person, {off_forward:.0f}° off the forward axis ({HEADING_KNOWN})."
+    if spread is None or not len(spread):
+        return f"{camera} It sees only {DEPTH_VISIBLE} of {what}; if that matters, film {better}."
     doubtful = float((spread > DOUBTFUL_DEPTH).mean())
     return (
-        f"{camera} The depth of the wrists is estimated to ±{100 * np.sqrt(np.mean(spread**2)):.0f} cm; {doubtful:.0%} "
-        f"of it is doubtful (above ±{100 * DOUBTFUL_DEPTH:.0f} cm). If that matters, film from another side."
+        f"{camera} The depth of the wrists, so {what}, is estimated to ±{100 * np.sqrt(np.mean(spread**2)):.0f} cm; "
+        f"{doubtful:.0%} of it is doubtful (above ±{100 * DOUBTFUL_DEPTH:.0f} cm). If that matters, film {better}."
     )
 
 
@@ -160,7 +181,7 @@ def pose_report(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> dict[
         "frames": len(pose.t),
         "frames_with_person": int(seen.any(axis=1).sum()),
         "frames_exchanged": int(pose.swapped.sum()),
-        "unseen": depth_note(float(np.median(torso_heading(pose, settings))), spread[np.isfinite(spread)]),
+        "unseen": depth_note(camera_axis(pose, settings), spread[np.isfinite(spread)]),
     }
 
 
@@ -215,7 +236,7 @@ def _slow_heading(t: FloatArray, line: FloatArray, seen: BoolArray) -> FloatArra
 
 
 def _hidden_arm_warnings(pose: PoseTrack) -> tuple[str, ...]:
-    """Return a warning for each arm that is often hidden."""
+    """Return a warning for each arm that is often hidden, with the times."""
     found = []
     for side, seen in zip(SIDES, _arm_visible(pose).T, strict=True):
         if seen.mean() >= MIN_ARM_SHARE:
@@ -223,9 +244,16 @@ def _hidden_arm_warnings(pose: PoseTrack) -> tuple[str, ...]:
         if not seen.any():
             found.append(f"the {side} arm is never visible")
             continue
+        edges = np.diff(np.concatenate([[False], ~seen, [False]]).astype(int))
+        ends = np.flatnonzero(edges < 0)
+        starts = pose.t[edges[:-1] > 0]
+        stops = pose.t[np.minimum(ends, len(seen) - 1)]
+        longest = sorted(np.argsort(stops - starts)[::-1][:SHOWN_GAPS])
+        times = ", ".join(f"{starts[i]:.1f}–{stops[i]:.1f} s" for i in longest)
+        more = f" and {len(starts) - SHOWN_GAPS} shorter times" if len(starts) > SHOWN_GAPS else ""
         found.append(
-            f"the {side} arm is visible in {seen.mean():.0%} of the frames; in the others the robot's arm is not what "
-            "the person did"
+            f"the {side} arm is visible in {seen.mean():.0%} of the frames, hidden at {times}{more}; there the robot's "
+            "arm is not what the person did"
         )
     return tuple(found)
 

@@ -12,6 +12,8 @@ from mimic.records import LANDMARKS, PoseTrack
 from mimic.retargeting.wrists import (
     HEADING_KNOWN,
     arm_length,
+    camera_axis,
+    depth_note,
     pose_report,
     torso_heading,
     torso_vectors,
@@ -219,19 +221,19 @@ def test_the_note_says_how_well_depth_is_known_where_it_was_estimated():
 
 
 @pytest.mark.parametrize(
-    ("heading", "words"),
+    ("heading", "axis", "words"),
     [
-        (0, "in front of the person, 0° from"),
-        (90, "beside the person, 90° from"),
-        (-90, "beside the person, 90° from"),
-        (180, "behind the person, 180° from"),
-        (45, "in front of the person, 45° from"),
+        (0, (-1, 0, 0), ("in front of", "reaching forward and back")),
+        (90, (0, 1, 0), ("beside", "reaching to the left and right")),
+        (-90, (0, -1, 0), ("beside", "reaching to the left and right")),
+        (180, (1, 0, 0), ("behind", "reaching forward and back")),
+        (45, (-np.sqrt(0.5), np.sqrt(0.5), 0), ("in front of", "diagonal")),
     ],
 )
-def test_the_note_says_where_the_camera_is(heading, words):
-    note = pose_report(track(*person(heading)))["unseen"]
-    assert words in note
-    assert HEADING_KNOWN in note
+def test_the_camera_axis_names_the_motion_that_is_barely_visible(heading, axis, words):
+    pose = track(*person(heading))
+    np.testing.assert_allclose(camera_axis(pose), axis, atol=1e-9)
+    assert all(word in depth_note(camera_axis(pose)) for word in (*words, HEADING_KNOWN))
 
 
 def test_the_report_counts_frames_and_arms():
@@ -273,11 +275,11 @@ def hidden(pose: PoseTrack, name: str, *spans: tuple[float, float]) -> PoseTrack
     return dataclasses.replace(pose, valid=valid)
 
 
-def test_an_arm_that_is_hidden_is_reported():
+def test_an_arm_that_is_hidden_is_reported_with_the_times():
     pose = hidden(track(*person(rows=300)), "left_wrist", (1.0, 3.0), (5.0, 8.0))
     (warning,) = wrist_track(pose).warnings
     share = pose.valid[:, LANDMARKS.index("left_wrist")].mean()
-    assert f"the left arm is visible in {share:.0%} of the frames;" in warning
+    assert f"the left arm is visible in {share:.0%} of the frames, hidden at 1.0–3.0 s, 5.0–8.0 s;" in warning
 
 
 def test_an_arm_that_is_seen_most_of_the_time_is_not_reported():
@@ -287,3 +289,10 @@ def test_an_arm_that_is_seen_most_of_the_time_is_not_reported():
 def test_an_arm_that_is_never_seen_is_reported():
     (warning,) = wrist_track(hidden(track(*person(rows=300)), "right_wrist", (0.0, 99.0))).warnings
     assert warning == "the right arm is never visible"
+
+
+def test_only_the_longest_of_many_times_are_named():
+    spans = [(n + 0.0, n + 0.5) for n in range(9)]
+    (warning,) = wrist_track(hidden(track(*person(rows=300)), "left_wrist", *spans)).warnings
+    assert warning.count("–") == 4
+    assert "and 5 shorter times" in warning
