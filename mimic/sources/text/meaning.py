@@ -367,6 +367,8 @@ class _Reader:
                         "'after', 'before' or 'first' comes behind more than one action; say them in order"
                     )
                 found = found[::-1]
+            elif part.data == "around":
+                found = [*found, found[0]]
             self.groups += [group for groups in found for group in groups]
         self._repeat_pairs()
         self.groups += self._switch(None)

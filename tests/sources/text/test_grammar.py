@@ -254,6 +254,7 @@ def test_what_a_verb_does_not_use_is_an_error_and_never_dropped(sentence, word, 
         ("alternate left and right punches, two each", "punch left, right, left, right"),
         ("alternate right and left punches, one each", "punch right, then left"),
         ("wave twice with each hand", "wave the left hand twice, then the right hand twice"),
+        ("wave before and after turning left", "wave, turn left, wave"),
         ("raise your left hand, then put it back down", "raise your left hand, then lower the left hand"),
         ("step forward twice with a pause of 2 seconds in between", "step forward, wait 2 s, step forward"),
         (
