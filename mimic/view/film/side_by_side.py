@@ -193,8 +193,8 @@ def _draw_skeleton(picture: np.ndarray, pose: PoseTrack, row: int) -> None:
         for begin, end in skeleton.segments(points, seen, pairs).ends:
             cv2.line(picture, _pixel(begin), _pixel(end), skeleton.COLOURS[side], thick, cv2.LINE_AA)
     certain = skeleton.certainty(pose)
-    for side, (wrist, known) in skeleton.wrists(pose, points).items():
-        if pose.valid[row, pose.index(f"{side}_wrist")] and known[0]:
+    for side, (wrist, _) in skeleton.wrists(pose, points).items():
+        if seen[0, pose.index(f"{side}_wrist")]:
             colour = skeleton.doubtful(skeleton.COLOURS[side], float(certain[side][row]))
             cv2.circle(picture, _pixel(wrist[0]), 2 * thick, colour, -1, cv2.LINE_AA)
 
