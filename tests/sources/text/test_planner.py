@@ -257,23 +257,8 @@ def test_a_server_that_drips_its_answer_is_given_up_at_the_timeout(ask):
         ask(lambda body: (200, "drip"), timeout=0.3)
 
 
-def test_an_answer_without_end_is_not_read(endpoint, reach):
-    endpoint.answers = [b" " * 5_000_000]
-    with pytest.raises(SourceError, match="the answer has more than 4000000 bytes"):
-        plan(SENTENCE, reach, LanguageSettings(llm_url=endpoint.url, llm_model="canned"))
-
-
 def completion(content: Any) -> dict[str, Any]:
     return {"choices": [{"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": content}}]}
-
-
-def test_content_in_parts_is_read(endpoint, reach, frames):
-    text = as_json(frames)
-    endpoint.answers = [
-        lambda body: (200, completion([{"type": "text", "text": part} for part in (text[:40], text[40:])]))
-    ]
-    motion = plan(SENTENCE, reach, LanguageSettings(llm_url=endpoint.url, llm_model="canned"))
-    assert len(motion.frames) == len(frames)
 
 
 @pytest.mark.parametrize("content", [5, {"a": 1}, [5], True])
