@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -12,6 +13,8 @@ from mimic.config.text_file import from_toml, read_text
 from mimic.errors import ConfigError
 
 S = TypeVar("S")
+
+_hints = cache(get_type_hints)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -53,7 +56,7 @@ def made(kind: type[S], table: Any, above: str = "", base: S | None = None) -> S
     Raises:
         ConfigError: If there is no such field, one is missing, or a value does not fit.
     """
-    hints = get_type_hints(kind)
+    hints = _hints(kind)
     if not isinstance(table, Mapping):
         names = ", ".join(above + name for name in hints)
         raise ConfigError(f"{above.strip(' .')} is {table!r}; set one of its fields: {names}")

@@ -55,11 +55,6 @@ SETTLES = 2.0
 """A robot that is asked to stand has turned to its heading by this time [s]."""
 
 
-def minimum_jerk(share: Tensor) -> Tensor:
-    """Return the share of the way that a polynomial of fifth degree has made, at rest at both ends."""
-    return share**3 * (10 - 15 * share + 6 * share * share)
-
-
 class ArmSchedule(Chance):
     """Front legs that go from goal to goal in joint space, on polynomials of fifth degree that begin and end at rest.
 
@@ -143,7 +138,7 @@ class ArmSchedule(Chance):
         end = torch.where(later[..., None], end, middle)
         way = end - begin
         left = 1 - share
-        self.q.copy_(begin + way * minimum_jerk(share))
+        self.q.copy_(begin + way * share**3 * (10 - 15 * share + 6 * share * share))
         self.dq.copy_(way * 30 * (share * left).square() / length)
         self.ddq.copy_(way * 60 * share * left * (1 - 2 * share) / length.square())
 
@@ -219,7 +214,7 @@ class TrunkSchedule(Chance):
         put(self._time, due, 0.0)
         share = (self._time / self._length).clamp(0.0, 1.0)[:, None]
         begin, end = self._way.unbind(1)
-        now = begin + (end - begin) * minimum_jerk(share)
+        now = begin + (end - begin) * share**3 * (10 - 15 * share + 6 * share * share)
         pose = self._poses.of(now[:, 0], now[:, 1])
         newest = torch.cat([*pose, now], -1)
         self._sent.copy_(torch.cat([newest[:, None], self._sent[:, :-1]], 1))

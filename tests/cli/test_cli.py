@@ -256,7 +256,6 @@ BAD = [
     ("evaluate -o folder", folder, "folder is a folder"),
     ("evaluate --seed -1", nothing, "seed is -1"),
     ("emulate --seed -1", nothing, "seed is -1"),
-    ("lead --seed -1", nothing, "seed is -1"),
     ("demo --seed -1", nothing, "seed is -1"),
     (f"wave{300 * 'e'}", nothing, "a sentence follows --text"),
     (f"wave{300 * 'e'}.mp4 --sim", nothing, "there is no file wave"),
