@@ -122,12 +122,21 @@ def _timing_rows(done: RobotRun) -> dict[str, str]:
     lost = int(np.count_nonzero(health.missed))
     return {
         "robot": done.bus_url,
-        **_load_row(done.load),
+        **(_load_row(done.load) or _command_row(done)),
         "compute time": f"{np.nanmedian(compute):.1f} ms a tick, {np.nanquantile(compute, 0.99):.1f} ms p99",
         "tick overruns": f"{np.nanquantile(late, 0.99):.1f} ms p99; {(late > 2.0).sum()} by more than 2 ms, "
         f"{(late > 10.0).sum()} by more than 10 ms",
         "lost answers": f"{lost} of {np.count_nonzero(np.isfinite(health.missed))}",
     }
+
+
+def _command_row(done: RobotRun) -> dict[str, str]:
+    health = done.saved.run.health
+    late = int(np.count_nonzero(np.nan_to_num(health.err_flag).astype(int) & 1))
+    gap = 1e3 * float(np.max(np.nan_to_num(health.command_gap), initial=0.0))
+    if not gap:  # a board that says nothing of the commands it gets
+        return {}
+    return {"late commands": f"{late} ticks with error 0x01; longest time without a command {gap:.0f} ms"}
 
 
 def _load_row(load: Iterable[float]) -> dict[str, str]:
