@@ -25,8 +25,8 @@ DELAYS = 8
 """Delays that are tried."""
 NEAR = 15.0
 """Cameras that look along lines closer than this show no depth to each other [deg]; 18° was the least tried."""
-ALIKE = 0.7
-"""Above this a second view is not used: those of one motion have up to 0.67, those of other ones 0.71 and more."""
+ALIKE = 0.675
+"""Above this a second view is not used: those of one motion have up to 0.67, those of other ones 0.68 and more."""
 UNLIKE = 0.9
 """Above this it shows another motion; a view with an arm that hides another, or of people who sit still, has less."""
 FAR = 3.0
