@@ -64,7 +64,7 @@ class Fit:
     """What is left between the lines of both views over what ACROSS and DEPTH let expect, times its ratio to what is
     left at the likest of other times.
 
-    Source: 36 pairs of calibrated views of three people, and 116 of different motions (lab/results/depth.md).
+    Source: 36 pairs of calibrated views of three people, and 93 of different motions (lab/results/depth.md).
     """
 
     @property
