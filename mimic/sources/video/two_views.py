@@ -222,7 +222,8 @@ def _mean(seen: _Lines, other: _Lines, turn: FloatArray) -> _Lines:
     values = [np.where(lines.valid[..., None], lines.xyz, 0.0) for lines in (seen, other)]
     total = (own @ values[0][..., None] + others @ (values[1] @ turn.T)[..., None])[..., 0]
     xyz = (covariance @ total[..., None])[..., 0]
-    spread = np.hypot(np.sqrt(covariance[..., 2, 2]), TURN_DOUBT * np.linalg.norm(xyz, axis=-1))
+    turned = TURN_DOUBT * np.linalg.norm(xyz, axis=-1) * (covariance @ others)[..., 2, 2]
+    spread = np.hypot(np.sqrt(covariance[..., 2, 2]), turned)
     return _Lines(xyz, spread, seen.valid | other.valid)
 
 
