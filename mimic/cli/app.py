@@ -10,13 +10,14 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_origin
+from typing import Any
 
-from cyclopts import App, Parameter
-from cyclopts.exceptions import (
+from cyclopts import (
+    App,
     CoercionError,
     CycloptsError,
     MissingArgumentError,
+    Parameter,
     UnknownOptionError,
     UnusedCliTokensError,
 )
@@ -319,7 +320,7 @@ def _explained(error: CycloptsError) -> object:
         fitting = [example for example in examples if f"{error.argument.name} " in example]
         lacking = f"{error.keyword} needs a value" if error.keyword else f"{error.argument.name} is missing"
         return f"{lacking}; for example: {(fitting or examples)[0]}"
-    if isinstance(error, CoercionError) and error.token and get_origin(error.target_type) is not Literal:
+    if isinstance(error, CoercionError) and error.token:
         from mimic.config.values import expected
 
         return f"{error.token.keyword} is {error.token.value}; expected {expected(error.target_type)}"

@@ -113,11 +113,10 @@ def test_a_mistyped_command_is_no_file(capsys):
         ),
         ("clip.mp4 --sim --rate ten", "--rate is ten; expected a number"),
         ("clip.mp4 --sim --slow-down fast", '--slow-down is fast; expected a number or "auto"'),
-        ("export runs/x -o y --format csb", 'Invalid value "csb" for --format. Choose from: "lerobot", "csv"'),
+        ("export runs/x -o y --format csb", '--format is csb; expected "lerobot" or "csv" or "npz"'),
         ("--hlep", "Unknown option: --hlep. Did you mean --help?"),
         ("help", "there is no command and no file 'help'; did you mean: mimic --help"),
         ("clip.mp4 --versoin", "Unknown option: --versoin. Did you mean --version?"),
-        ("clip.mp4 --simm", "Unknown option: --simm. Did you mean --sim?"),
     ],
 )
 def test_a_slip_of_the_command_line_is_one_line_with_what_to_type(line, said, capsys):

@@ -48,7 +48,7 @@ SURE_SHARE = 0.5
 """Share of the network's own doubt in the declared spread; chosen as MEAN_SHARE is (lab/people/left_out.py)."""
 UNKNOWN = 0.04
 """What no picture tells of a person from the front, in quadrature with it [m]; chosen likewise."""
-TURNED = 0.12
+TURNED = 0.09
 """What turning away adds to that, times the sine of half the angle [m]; chosen likewise."""
 MEAN_SHARE = 0.8
 """Share of the network in the average depth of an arm; the rest is the detector's (lab/people/left_out.py)."""

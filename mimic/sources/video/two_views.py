@@ -25,8 +25,8 @@ DELAYS = 8
 """Delays that are tried."""
 NEAR = 15.0
 """Cameras that look along lines closer than this show no depth to each other [deg]; 18° was the least tried."""
-ALIKE = 0.7
-"""Above this a second view is not used: those of one motion have up to 0.67, those of other ones 0.71 and more."""
+ALIKE = 0.675
+"""Above this a second view is not used: those of one motion have up to 0.67, those of other ones 0.68 and more."""
 UNLIKE = 0.9
 """Above this it shows another motion; a view with an arm that hides another, or of people who sit still, has less."""
 FAR = 3.0
@@ -64,7 +64,7 @@ class Fit:
     """What is left between the lines of both views over what ACROSS and DEPTH let expect, times its ratio to what is
     left at the likest of other times.
 
-    Source: 36 pairs of calibrated views of three people, and 116 of different motions (lab/results/depth.md).
+    Source: 36 pairs of calibrated views of three people, and 93 of different motions (lab/results/depth.md).
     """
 
     @property
@@ -222,7 +222,8 @@ def _mean(seen: _Lines, other: _Lines, turn: FloatArray) -> _Lines:
     values = [np.where(lines.valid[..., None], lines.xyz, 0.0) for lines in (seen, other)]
     total = (own @ values[0][..., None] + others @ (values[1] @ turn.T)[..., None])[..., 0]
     xyz = (covariance @ total[..., None])[..., 0]
-    spread = np.hypot(np.sqrt(covariance[..., 2, 2]), TURN_DOUBT * np.linalg.norm(xyz, axis=-1))
+    turned = TURN_DOUBT * np.linalg.norm(xyz, axis=-1) * (covariance @ others)[..., 2, 2]
+    spread = np.hypot(np.sqrt(covariance[..., 2, 2]), turned)
     return _Lines(xyz, spread, seen.valid | other.valid)
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mimic.errors import SourceError
 from mimic.records import LANDMARKS, PoseTrack
-from mimic.sources.video.two_views import merge_views
+from mimic.sources.video.two_views import ALIKE, UNLIKE, merge_views
 
 T = np.arange(0.0, 4.0, 1 / 30)
 WRISTS, SHOULDERS = (
@@ -117,13 +117,13 @@ def test_an_arm_that_one_view_takes_for_another_one_hardly_turns_the_view():
     wrong = taken_for_another(slice(40, 80), ("left_elbow", "left_wrist"))
     _, fit = merge_views(FRONT, wrong, ("front.mp4", "side.mp4"))
     assert fit.angle_deg == pytest.approx(right.angle_deg, abs=3)
-    assert right.unlike < fit.unlike < 0.7
+    assert right.unlike < fit.unlike < ALIKE
 
 
 def test_a_view_that_shows_arms_otherwise_is_not_used_and_a_note_says_so():
     wrong = taken_for_another(slice(None), ("left_wrist",))
     merged, fit = merge_views(FRONT, wrong, ("front.mp4", "side.mp4"))
-    assert 0.7 < fit.unlike < 0.9
+    assert ALIKE < fit.unlike < UNLIKE
     np.testing.assert_array_equal(merged.landmarks, FRONT.landmarks)
     assert any("side.mp4 is not used: it shows arms" in text for text in merged.warnings)
 
