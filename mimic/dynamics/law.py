@@ -14,7 +14,7 @@ Longer than 350 lines: the laws of one step share its torques, and read best in 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,9 +32,6 @@ NEWTON = 10
 """Most steps towards the share of the supply that is left."""
 EXACT = 1e-9
 """Error at which they end; in single precision a few roundings, below which steps would leave the root again."""
-
-NOTICED = 1e-5
-"""Torque by which the mean of what two targets in a step ask for must be limited otherwise than each of them [N m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -268,9 +265,7 @@ class Law:
             left = self._lag_v[0]
             s["velocity"] = left * s["velocity"] + (1 - left) * mean
 
-    def step(
-        self, q: Any, dq: Any, target: Any, time: Any, force: Any = None, parts: Sequence[tuple[Any, Any]] = ()
-    ) -> StepInputs:
+    def step(self, q: Any, dq: Any, target: Any, time: Any, force: Any = None) -> StepInputs:
         """Return what the physics gets for the next step; `settle` must follow once it is made.
 
         Args:
@@ -279,7 +274,6 @@ class Law:
             target: Target of each drive in effect during the step, its mean (N, J) [rad].
             time: Since the beginning of the log [s], (N, 1) or a number.
             force: Torque put in besides the servo's (N, J) [N m].
-            parts: Shares of the step and the targets in effect during each (N, J), where they may be several.
         """
         xp = self.xp
         has = self._has
@@ -301,7 +295,6 @@ class Law:
             left, held = self._lag_u
             wanted = ctrl
             ctrl = ctrl + held * (s["goal"] - ctrl)
-            parts = [(share, target + (1 - held) * (part - target)) for share, part in parts]
             s["goal"] = wanted + left * (s["goal"] - wanted)
         if has & {"kt_drift", "kt_heat"}:
             factor = 1.0 + get("kt_drift", "rate") * (time / 100.0)
@@ -332,15 +325,9 @@ class Law:
         asked = kp * (ctrl - theta) + bias - kd * omega
         low, high = self._torque_limits(omega, self._supply_left(asked, omega))
         tau = xp.minimum(xp.maximum(asked, low), high)
-        if parts:
-            mean, load, square, free = self._one_by_one(parts, target, asked, kp, low, high)
-            kp, kd, bias, tau = self._where_limited(mean, free, kp, kd, bias, omega, tau)
-        else:
-            load = xp.abs(tau)
-            square = tau * tau
         if "heat" in s:
-            s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
-        friction, bent = self._friction(q, dq, load, tau)
+            s["heat"] = s["heat"] + self.dt * (tau * tau - s["heat"]) / get("kt_heat", "time")
+        friction, bent = self._friction(q, dq, tau)
         applied = self._outside(q, dq) - bent
         kd = kd / 2  # Crank and Nicolson: the mean of both ends of the step
         brake = kd * omega
@@ -352,48 +339,6 @@ class Law:
             torque, kept = self._through_gear(q, dq, free, kd, low, high, torque, kept)
         inertia = self._inertia + self.dt * kept
         return StepInputs(torque=torque, inertia=inertia, friction=friction, applied=applied, tau=tau)
-
-    def _stiffness(self, kp: Any) -> Any:
-        return kp / self.get("encoder_scale", "factor") if "encoder_scale" in self._has else kp
-
-    def _one_by_one(
-        self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
-    ) -> tuple[Any, Any, Any, Any]:
-        """Return mean torques over a step with several targets, each limited by itself, and the share in limits.
-
-        Those of the torque, its size and its square: the mean of what a motor gives is not what it gives for the mean
-        where a target asks for more than it can, and torques of both signs cancel in their mean but not in gears and
-        windings.
-        """
-        xp = self.xp
-        tau = self._zero
-        free = self._zero
-        size = self._zero
-        square = self._zero
-        stiffness = self._stiffness(kp)
-        for share, target in parts:
-            one = asked + stiffness * (target - mean)
-            limited = xp.minimum(xp.maximum(one, low), high)
-            tau = tau + share * limited
-            free = free + xp.where(limited == one, share + self._zero, self._zero)
-            if "load_friction" in self._has:
-                size = size + share * xp.abs(limited)
-            if "kt_heat" in self._has:
-                square = square + share * limited * limited
-        return tau, size, square, free
-
-    def _where_limited(
-        self, mean: Any, free: Any, kp: Any, kd: Any, bias: Any, omega: Any, tau: Any
-    ) -> tuple[Any, Any, Any, Any]:
-        """Return the servo with a mean torque where limits changed it, damped for a share of the step."""
-        there = self.xp.abs(mean - tau) > NOTICED
-        kept = self.xp.where(there, free * kd, kd)
-        return (
-            self.xp.where(there, self._zero, kp),
-            kept,
-            self.xp.where(there, mean + kept * omega, bias),
-            self.xp.where(there, mean, tau),
-        )
 
     def _torque_limits(self, omega: Any, left: Any) -> tuple[Any, Any]:
         """Return the least and greatest torque at velocities omega (N, J) with these shares of the supply (N, 1)."""
@@ -449,8 +394,8 @@ class Law:
             left = xp.where(exact, left, xp.where(inside, step, (low + high) / 2))
         return left
 
-    def _friction(self, q: Any, dq: Any, load: Any, tau: Any) -> tuple[Any, Any]:
-        """Return dry friction at these motor torques and sizes of them, and the torque by which one direction has more.
+    def _friction(self, q: Any, dq: Any, tau: Any) -> tuple[Any, Any]:
+        """Return dry friction at these motor torques, and the torque by which one direction has more.
 
         Friction of F + A forward and F - A backward is friction F with a torque -A, at rest too.
         """
@@ -461,7 +406,7 @@ class Law:
         if "stribeck" in self._has:
             level = level + get("stribeck", "level") * xp.exp(-((dq / get("stribeck", "speed")) ** 2))
         if "load_friction" in self._has:
-            level = level + get("load_friction", "ratio") * load
+            level = level + get("load_friction", "ratio") * xp.abs(tau)
         if "gear_load_friction" in self._has:
             level = level + get("gear_load_friction", "ratio") * xp.abs(tau + self.needed)
         if "asymmetric_friction" in self._has:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -280,69 +280,46 @@ def _ends(model: mujoco.MjModel, body: IntArray) -> tuple[FloatArray, FloatArray
     return tip, toward
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Inertias:
-    """Inertial numbers of all bodies."""
+def change_links(
+    model: mujoco.MjModel,
+    bodies: Sequence[int] | IntArray,
+    machine: MachineModel,
+    factor: FloatArray,
+    shift: FloatArray,
+    payload: FloatArray,
+) -> None:
+    """Scale links of a model, shift their centres of mass and load their tips.
 
-    mass: FloatArray
-    """(B,) [kg]"""
-    ipos: FloatArray
-    """(B, 3) [m]"""
-    inertia: FloatArray
-    """(B, 3) [kg m^2]"""
-    iquat: FloatArray
-    """(B, 4)"""
+    Args:
+        model: It has the links.
+        bodies: Link that each joint moves (J,).
+        machine: Where they point, and where they end.
+        factor: On masses and inertias (J,).
+        shift: Of centres of mass toward the ends of the links (J,) [m].
+        payload: At the tips (J,) [kg].
+    """
+    for j, b in enumerate(bodies):
+        model.body_mass[b] *= factor[j]
+        model.body_inertia[b] *= factor[j]
+        model.body_ipos[b] += shift[j] * machine.toward[j]
+        if payload[j]:
+            add_load(model, int(b), float(payload[j]), machine.tip[j])
 
-    @classmethod
-    def of(cls, model: mujoco.MjModel) -> Inertias:
-        """Return those of a model."""
-        return cls(**{f.name: getattr(model, f"body_{f.name}").copy() for f in fields(cls)})
 
-    def write(self, model: mujoco.MjModel) -> None:
-        """Write them into a model."""
-        for f in fields(self):
-            getattr(model, f"body_{f.name}")[:] = getattr(self, f.name)
-
-    def change(
-        self,
-        bodies: Sequence[int] | IntArray,
-        machine: MachineModel,
-        factor: FloatArray | None,
-        shift: FloatArray | None,
-        payload: FloatArray | None,
-    ) -> None:
-        """Scale links, shift their centres of mass and load their tips; what is None stays.
-
-        Args:
-            bodies: Link that each joint moves (J,).
-            machine: Its links.
-            factor: On masses and inertias (J,).
-            shift: Of centres of mass toward the ends of the links (J,) [m].
-            payload: At the tips (J,) [kg].
-        """
-        for j, b in enumerate(bodies):
-            if factor is not None:
-                self.mass[b] *= factor[j]
-                self.inertia[b] *= factor[j]
-            if shift is not None:
-                self.ipos[b] += shift[j] * machine.toward[j]
-            if payload is not None and payload[j]:
-                self.load(int(b), float(payload[j]), machine.tip[j])
-
-    def load(self, b: int, load: float, at: FloatArray) -> None:
-        """Add a point mass [kg] at a place (3,) [m] of one body: new centre, parallel axes, new principal axes."""
-        own = float(self.mass[b])
-        frame = np.zeros(9)
-        mujoco.mju_quat2Mat(frame, self.iquat[b])
-        turn = frame.reshape(3, 3)
-        inertia = turn @ np.diag(self.inertia[b]) @ turn.T
-        away = at - self.ipos[b]
-        inertia += own * load / (own + load) * (away @ away * np.eye(3) - np.outer(away, away))
-        self.inertia[b], axes = np.linalg.eigh(inertia)
-        axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
-        mujoco.mju_mat2Quat(self.iquat[b], axes.reshape(9))
-        self.mass[b] = own + load
-        self.ipos[b] += away * load / (own + load)
+def add_load(model: mujoco.MjModel, b: int, load: float, at: FloatArray) -> None:
+    """Add a point mass [kg] at a place (3,) [m] of one body: new centre, parallel axes, new principal axes."""
+    own = float(model.body_mass[b])
+    frame = np.zeros(9)
+    mujoco.mju_quat2Mat(frame, model.body_iquat[b])
+    turn = frame.reshape(3, 3)
+    inertia = turn @ np.diag(model.body_inertia[b]) @ turn.T
+    away = at - model.body_ipos[b]
+    inertia += own * load / (own + load) * (away @ away * np.eye(3) - np.outer(away, away))
+    model.body_inertia[b], axes = np.linalg.eigh(inertia)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    mujoco.mju_mat2Quat(model.body_iquat[b], axes.reshape(9))
+    model.body_mass[b] = own + load
+    model.body_ipos[b] += away * load / (own + load)
 
 
 def tilted_gravity(

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mimic.config.play import DESCRIBED_REBOUND, Randomisation
-from mimic.dynamics.machine import Inertias, add_motors
+from mimic.dynamics.machine import add_load, add_motors
 from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import BASE, FLOOR, is_visual, read_model
@@ -218,9 +218,7 @@ def carry(model: mujoco.MjModel, body: str, mass: float, position: FloatArray) -
     """Add a point mass [kg] at a position (3,) [m] of a body, in ``model`` as it is."""
     if not mass:
         return
-    inertias = Inertias.of(model)
-    inertias.load(model.body(body).id, mass, position)
-    inertias.write(model)
+    add_load(model, model.body(body).id, mass, position)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, read_effects
 from mimic.dynamics.law import OF_DRIVES, Parameters, StepInputs
-from mimic.dynamics.machine import Inertias, MachineModel
+from mimic.dynamics.machine import MachineModel, change_links
 from mimic.errors import ConfigError
 from mimic.records import FloatArray
 
@@ -52,19 +52,18 @@ def static_model(model: mujoco.MjModel, machine: MachineModel, p: Parameters) ->
     there = [p[key][0] > 0 for key in (("backlash", "gap"), ("compliance", "compliance")) if key in p]
     if there:  # the rotor is a state of the law
         model.dof_armature[dofs] = np.where(np.any(there, axis=0), 0.0, model.dof_armature[dofs])
-    parts = inertial_parts(p)
-    if any(part is not None for part in parts):
-        bodies = [model.body(machine.model.body(b).name).id for b in machine.body]
-        inertias = Inertias.of(model)
-        inertias.change(bodies, machine, *parts)
-        inertias.write(model)
+    bodies = [model.body(machine.model.body(b).name).id for b in machine.body]
+    change_links(model, bodies, machine, *inertial_parts(machine, p))
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def inertial_parts(p: Parameters) -> list[FloatArray | None]:
-    """Return what changes the links: factors on masses, shifts of centres and masses at tips, (J,) or None."""
-    parts = (p.get(key) for key in (("link_mass", "factor"), ("com_shift", "distance"), ("payload", "mass")))
-    return [None if part is None else part[0] for part in parts]
+OF_LINKS = (("link_mass", "factor"), ("com_shift", "distance"), ("payload", "mass"))
+"""What changes links: factors on masses, shifts of centres and masses at tips."""
+
+
+def inertial_parts(machine: MachineModel, p: Parameters) -> list[FloatArray]:
+    """Return the values of `OF_LINKS` (J,)."""
+    return [p[key][0] if key in p else neutral(*key, machine) for key in OF_LINKS]
 
 
 def neutral(name: str, parameter: str, machine: MachineModel) -> FloatArray:

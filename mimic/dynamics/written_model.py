@@ -6,6 +6,7 @@ Source: MuJoCo's XML reference; mjlab, ``BuiltinPositionActuatorCfg`` and ``Dela
 
 from __future__ import annotations
 
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ import numpy as np
 
 from mimic.dynamics.catalogue.kinds import UNLIMITED
 from mimic.dynamics.effect_set import EffectSet
-from mimic.dynamics.machine import Inertias, MachineModel, make_room, tilted_gravity
-from mimic.dynamics.servo import inertial_parts, parameters_of
+from mimic.dynamics.machine import MachineModel, change_links, make_room, tilted_gravity
+from mimic.dynamics.servo import OF_LINKS, inertial_parts, parameters_of
 from mimic.errors import AssetError
 from mimic.io.store import written_whole
 from mimic.records import FloatArray
@@ -99,7 +100,8 @@ def write_mjcf(source: Path, machine: MachineModel, effects: EffectSet, out: Pat
             actuator.delay = own["delay"]
             actuator.nsample = int(np.ceil(own["delay"] / spec.option.timestep)) + 1
     p = parameters_of(effects, machine)
-    _write_inertias(spec, machine, p)
+    if any(key in p for key in OF_LINKS):
+        _write_inertias(spec, machine, p)
     if ("base_tilt", "roll") in p:
         roll, pitch = (float(p["base_tilt", axis][0, 0]) for axis in ("roll", "pitch"))
         spec.option.gravity = tilted_gravity(roll, pitch, spec.option.gravity)
@@ -113,18 +115,15 @@ def write_mjcf(source: Path, machine: MachineModel, effects: EffectSet, out: Pat
 
 
 def _write_inertias(spec: Any, machine: MachineModel, p: dict[tuple[str, str], FloatArray]) -> None:
-    parts = inertial_parts(p)
-    if all(part is None for part in parts):
-        return
-    made = Inertias.of(machine.model)
-    made.change(machine.body, machine, *parts)
+    made = copy(machine.model)
+    change_links(made, machine.body, machine, *inertial_parts(machine, p))
     for b in machine.body:
         body = spec.body(machine.model.body(b).name)
         body.explicitinertial = True
-        body.mass = made.mass[b]
-        body.ipos = made.ipos[b]
-        body.inertia = made.inertia[b]
-        body.iquat = made.iquat[b]
+        body.mass = made.body_mass[b]
+        body.ipos = made.body_ipos[b]
+        body.inertia = made.body_inertia[b]
+        body.iquat = made.body_iquat[b]
         body.fullinertia = np.full(6, np.nan)
 
 

@@ -103,8 +103,7 @@ class LawMotors:
         if self._moving:
             targets = moving_targets(substep, decimation, self._shifts, targets, np)
         target = target_in_effect(shares, targets)
-        parts = list(zip(shares, targets, strict=True))
-        inputs = self._law.step(data.qpos[None, 7:], data.qvel[None, 6:], target[None], data.time, parts=parts)
+        inputs = self._law.step(data.qpos[None, 7:], data.qvel[None, 6:], target[None], data.time)
         self._servo.write(inputs)
         self.tau = np.array(inputs.tau[0])
         return self._applied[0]

@@ -199,52 +199,6 @@ def test_a_stalled_motor_gives_its_torque_and_a_free_one_runs_to_its_speed(bench
     assert halfway == pytest.approx(2.0, abs=0.15)
 
 
-@pytest.mark.parametrize(("low", "high"), [(-0.5, 2.0), (0.1, 2.0), (-2.0, 2.0), (1.0, 2.0), (0.1, 0.3), (0.35, 0.42)])
-def test_a_step_shared_by_two_targets_is_limited_in_each_part_of_it(bench, low, high):
-    """30 N m/rad and a limit of 12: a target of 2 rad asks for 60."""
-    made = bench()
-    zero = np.zeros((1, 2))
-    made.law.begin(zero, zero)
-    parts = [(np.full((1, 1), 0.7), np.full((1, 2), low)), (np.full((1, 1), 0.3), np.full((1, 2), high))]
-    mean = np.full((1, 2), 0.7 * low + 0.3 * high)
-    inputs = made.law.step(zero, zero, mean, 0.0, parts=parts)
-    wanted = 0.7 * np.clip(30 * low, -12, 12) + 0.3 * np.clip(30 * high, -12, 12)
-    assert inputs.tau == pytest.approx(np.full((1, 2), wanted))
-    assert inputs.torque == pytest.approx(inputs.tau)
-    alone = made.law.step(zero, zero, mean, 0.0)
-    if max(abs(low), abs(high)) <= 0.4:
-        assert np.array_equal(inputs.torque, alone.torque)
-        assert np.array_equal(inputs.inertia, alone.inertia)
-    elif low < 0.4:
-        assert np.abs(inputs.tau - alone.tau).max() > 0.1
-
-
-def test_torques_of_both_signs_in_one_step_cancel_neither_in_gears_nor_in_windings(bench):
-    made = bench({"load_friction": {"ratio": 0.25}, "kt_heat": {"loss": 0.0, "time": 5.0}})
-    zero = np.zeros((1, 2))
-    made.law.begin(zero, zero)
-    parts = [(np.full((1, 1), 0.6), np.full((1, 2), -0.2)), (np.full((1, 1), 0.4), np.full((1, 2), 0.3))]
-    inputs = made.law.step(zero, zero, zero, 0.0, parts=parts)
-    assert inputs.tau == pytest.approx(np.zeros((1, 2)), abs=1e-12)
-    plain = inputs.friction - 0.25 * (0.6 * 6.0 + 0.4 * 9.0)
-    assert plain == pytest.approx(bench().law.step(zero, zero, zero, 0.0).friction)
-    assert made.law.states["heat"] == pytest.approx(np.full((1, 2), 0.0025 * (0.6 * 36.0 + 0.4 * 81.0) / 5.0))
-
-
-def test_several_targets_in_a_step_are_limited_one_by_one_behind_a_filter_too(bench):
-    """Else one machine with a filter would change all others that are simulated beside it."""
-    zero = np.zeros((1, 2))
-    parts = [(np.full((1, 1), 0.7), np.full((1, 2), -0.2)), (np.full((1, 1), 0.3), np.full((1, 2), 1.5))]
-    mean = np.full((1, 2), 0.7 * -0.2 + 0.3 * 1.5)
-    plain = bench().law.step(zero, zero, mean, 0.0, parts=parts).tau
-    assert np.abs(plain - bench().law.step(zero, zero, mean, 0.0).tau).max() > 0.1
-    none, slow = (
-        bench({"target_filter": {"time": time}}).law.step(zero, zero, mean, 0.0, parts=parts).tau for time in (0.0, 0.1)
-    )
-    assert none == pytest.approx(plain, abs=1e-3)
-    assert np.abs(slow).max() < 0.25 * np.abs(plain).max()
-
-
 def test_a_motor_brakes_with_its_whole_torque_at_any_speed(bench):
     effects = {"torque_speed": {"torque": 4.0, "speed": 12.0, "flat": 0.0}}
     made = bench(effects, inertia=1e5).run(0.02, target=lambda t: -90.0, speed=11.0)

@@ -1,3 +1,4 @@
+from copy import copy
 from pathlib import Path
 
 import mujoco
@@ -5,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mimic.dynamics.machine import Inertias, MachineModel, as_logged, hung_robot, read_machine, tilted_gravity
+from mimic.dynamics.machine import MachineModel, as_logged, change_links, hung_robot, read_machine, tilted_gravity
 from mimic.dynamics.servo import static_model
 from mimic.errors import AssetError
 from mimic.records import JOINTS
@@ -91,12 +92,12 @@ def test_a_tilted_base_is_a_model_that_is_turned(tmp_path: Path) -> None:
 
 def test_masses_and_centres_of_links_change(tmp_path: Path) -> None:
     machine = arm(tmp_path)
-    made = Inertias.of(machine.model)
-    made.change(machine.body, machine, np.array([2.0, 1.0, 0.5]), np.array([0.0, 0.03, 0.0]), None)
+    made = copy(machine.model)
+    change_links(made, machine.body, machine, np.array([2.0, 1.0, 0.5]), np.array([0.0, 0.03, 0.0]), np.zeros(3))
     upper, lower, other = machine.body
-    assert made.mass[[upper, lower, other]] == pytest.approx([1.2, 0.3, 0.1])
-    assert made.inertia[upper] == pytest.approx(2 * machine.model.body_inertia[upper])
-    assert made.ipos[lower] - machine.model.body_ipos[lower] == pytest.approx([0.0, 0.0, -0.03])
+    assert made.body_mass[[upper, lower, other]] == pytest.approx([1.2, 0.3, 0.1])
+    assert made.body_inertia[upper] == pytest.approx(2 * machine.model.body_inertia[upper])
+    assert made.body_ipos[lower] - machine.model.body_ipos[lower] == pytest.approx([0.0, 0.0, -0.03])
     assert machine.model.body_mass[upper] == pytest.approx(0.6), "the model stays as it was"
 
 

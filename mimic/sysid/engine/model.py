@@ -502,13 +502,8 @@ def blank_table(machine: MachineModel) -> FloatArray:
     """Return the table of numbers without any effect (S, J)."""
     table = np.zeros((len(KEYS), len(machine.joints)))
     for row, (name, parameter) in enumerate(KEYS):
-        p = CATALOGUE[name].parameter(parameter)
-        if name == "motor" and machine.drives.volts is None:
-            table[row] = 1.0
-        elif p.fixed and p.starts and p.neutral != MODEL:
-            table[row] = p.starts[0]
-        else:
-            table[row] = neutral(name, parameter, machine)
+        control_torque = name == "motor" and machine.drives.volts is None
+        table[row] = 1.0 if control_torque else neutral(name, parameter, machine)
     return table
 
 

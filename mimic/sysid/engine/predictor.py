@@ -367,11 +367,9 @@ def begin_at(record, p, s, i):  # type: ignore[no-untyped-def]
             row += 1
         s[Q, j] = unread(p, j, record.y[row, j])
         s[QM, j] = s[Q, j]
-        aim = 0
-        while aim + 1 < len(record.sent) and record.sent[aim + 1] <= record.t[i] - p[DELAY, j] - p[JOINT_DELAY, j]:
-            aim += 1
-        s[AIM, j] = aim
-        s[GOAL, j] = record.goal[aim, j]
+    until(record.sent, p, s, record.t[i], record.t[i])
+    for j in range(s.shape[1]):
+        s[GOAL, j] = record.goal[int(s[AIM, j]), j]
 
 
 @inlined

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE
-from mimic.dynamics.catalogue.kinds import MODEL, Effect, Parameter
-from mimic.dynamics.law import OF_DRIVES
+from mimic.dynamics.catalogue.kinds import MODEL, Parameter
 from mimic.records import FloatArray
 from mimic.sysid.engine.laws import ROW
 from mimic.sysid.engine.likelihood import weights
@@ -74,17 +73,10 @@ class Found:
 
 def applicable(setting: Setting, baseline: Sequence[str]) -> tuple[str, ...]:
     """Return the effects that may be looked for in a machine."""
-
-    drives = setting.data.machine.drives
-    alone = setting.data.joints == 1
-    senseless = {"motor"} if drives.volts is None else {"kt_gain", "supply_sag"}
-    senseless |= {"coupling", "joint_delay"} if alone else set()
-
-    def lacking(effect: Effect) -> bool:
-        keys = [(effect.name, p.name) for p in effect.parameters]
-        return effect.name in senseless or any(k in OF_DRIVES and getattr(drives, OF_DRIVES[k]) is None for k in keys)
-
-    return tuple(e.name for e in CATALOGUE.values() if not (e.read_off or e.name in baseline or lacking(e)))
+    left_out = {*baseline, *(("motor",) if setting.data.machine.drives.volts is None else ("kt_gain", "supply_sag"))}
+    if setting.data.joints == 1:
+        left_out |= {"coupling", "joint_delay"}
+    return tuple(e.name for e in CATALOGUE.values() if not e.read_off and e.name not in left_out)
 
 
 def wanted(name: str) -> tuple[Parameter, ...]:

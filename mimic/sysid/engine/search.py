@@ -357,7 +357,7 @@ def _part(best: Scored, null: Scored, dropped: Sequence[Scored], name: str, join
     rest = tuple(one for one in best.model.effects if one[0] != name)
     known = [null, *(one for one in dropped if one.model.effects == rest)]
     if rest and len(known) == 1:
-        known.append(scored(without(best.model, null.model, name, joints).settled()))
+        known.append(less(best, null, name, joints))
     other = known[-1] if rest else null
     return Part(name=name, joints=joints, evidence=best.over(other), without=other)
 
@@ -385,7 +385,7 @@ def _exchanged(
 ) -> tuple[Scored, list[Scored], list[Scored]]:
     """Return a model with another effect in the place of one of its first, if that is better, and what is beside it."""
     for part in best.model.effects[:AGAIN] if len(best.model.effects) > 1 else ():
-        rivals = stage_of(scored(without(best.model, null.model, *part).settled()), hunt)
+        rivals = stage_of(less(best, null, *part), hunt)
         if rivals and rivals[0].over(best) > TIED:
             other, others = _forwards(rivals[0], null, hunt)
             other, dropped = backwards(other, null, hunt)
@@ -396,7 +396,7 @@ def _exchanged(
 def _confirmed(best: Scored, null: Scored, hunt: Hunt) -> Scored:
     """Return a model without the effects of which whole logs that are left out say nothing."""
     while best.model.effects and best.model.data.apart.any() and not _predicts(best.model, null.model):
-        parts = [scored(without(best.model, null.model, *one).settled()) for one in _parts(best.model)]
+        parts = [less(best, null, *one) for one in _parts(best.model)]
         best = ranked(parts)[0] if parts else null
         hunt.say(f"whole logs left out do not confirm more than {describe(best.model)}")
     return best
@@ -519,7 +519,7 @@ def backwards(best: Scored, null: Scored, hunt: Hunt) -> tuple[Scored, list[Scor
     tried: list[Scored] = []
     while best.model.effects:
         parts = sorted(_parts(best.model), key=lambda part: best.needs(*part))[:LAST]
-        tried = [scored(without(best.model, null.model, *one).settled()) for one in parts]
+        tried = [less(best, null, *one) for one in parts]
         if not tried:
             break
         first = ranked(tried)[0]
@@ -539,6 +539,11 @@ def _parts(model: Model) -> list[tuple[str, tuple[int, ...]]]:
         if len(joints) > 1:
             parts += [(name, (j,)) for j in joints]
     return parts
+
+
+def less(one: Scored, null: Scored, name: str, joints: tuple[int, ...]) -> Scored:
+    """Return a model without an effect in some joints, fitted."""
+    return scored(without(one.model, null.model, name, joints).settled())
 
 
 def without(model: Model, null: Model, name: str, joints: tuple[int, ...]) -> Model:
