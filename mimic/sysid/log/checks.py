@@ -16,6 +16,7 @@ from mimic.sysid.log.noise import (
     MEMORY,
     MOST,
     SURE,
+    Following,
     following,
     noise_floor,
     resolution,
@@ -25,6 +26,7 @@ from mimic.sysid.log.noise import (
 from mimic.sysid.log.pool import (
     BETWEEN,
     SHORTEST,
+    at_odd_times,
     filled,
     followed,
     lasts,
@@ -262,8 +264,8 @@ def check_log(log: JointLog, limits: FloatArray | None = None, unit: str = "rad"
 def targets_match_log(log: JointLog) -> tuple[bool, str]:
     """Return whether the targets can belong to the positions, and why not.
 
-    Only what is certain is refused: targets that a position precedes, or that nothing follows. Whether log and model
-    belong together is for the fit to say.
+    Only what is certain is refused: targets that a position precedes, or that nothing follows, unless reversed or
+    shifted in time. Whether log and model belong together is for the fit to say.
     """
     if log.q_des is None:
         return True, ""
@@ -273,13 +275,25 @@ def targets_match_log(log: JointLog) -> tuple[bool, str]:
     moving = near.moves & (np.ptp(log.q, axis=0) > 0)
     if not moving.any():
         return False, "no target of the log moves"
-    follows = float(np.median(np.maximum(np.diag(near.correlation), 0.0)[moving]))
+
+    def median(of: Following) -> float:
+        return float(np.median(np.maximum(np.diag(of.correlation), 0.0)[moving]))
+
+    follows = median(near)
     lag = near.lag[moving]
     if follows > FOLLOWS and (np.round(np.nan_to_num(lag) * log.rate) < -1).all():
         early = -1e3 * float(np.median(lag))
         return False, f"positions come {early:.0f} ms before their targets; the log runs backwards in time"
     if follows >= STRANGER:
         return True, ""
+    back = median(following(log.t, log.q, asked[::-1]))
+    if back > FOLLOWS:
+        return False, f"positions follow the targets read backwards (correlation {back:.3f}, forwards {follows:.3f})"
+    far = following(log.t, log.q, asked, (-log.duration / 2, log.duration / 2))
+    if median(far) > FOLLOWS:
+        late = float(np.nanmedian(far.lag[moving]))
+        when = f"{abs(late):.2f} s {'before' if late > 0 else 'after'} them"
+        return False, f"positions follow the targets logged {when}: two clocks, or rows that do not match"
     return False, f"positions do not follow the targets (correlation {follows:.2f})"
 
 
@@ -331,8 +345,13 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         )
         log = replace(log, q=np.where(spiked, np.nan, log.q))
     gone = missing(log)
-    if gone.any():
-        log = filled(log, gone).part(np.cumsum(~gone) > 0)  # from the first reading on, where filters begin
+    odd = at_odd_times(log, MOST_WRONG) & ~gone
+    if odd.any():
+        warnings.append(
+            f"{int(odd.sum())} rows ({odd.mean():.1%}) were answered at another time than the others; left out"
+        )
+    if (unseen := gone | odd).any():
+        log = filled(log, unseen).part(np.cumsum(~unseen) > 0)  # from the first reading on, where filters begin
     back = np.flatnonzero(np.diff(log.t) < 0)
     if len(back):
         i = int(back[0])

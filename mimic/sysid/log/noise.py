@@ -96,12 +96,8 @@ class Following:
     """Whether the target moves (J,)."""
 
 
-LAGS = (-0.1, 0.4)
-"""Lags behind a target that are tried [s]."""
-
-
-def following(t: FloatArray, q: FloatArray, target: FloatArray) -> Following:
-    """Return how positions follow targets (T, J), from their correlation over a range of lags.
+def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[float, float] = (-0.1, 0.4)) -> Following:
+    """Return how positions follow targets (T, J), from their correlation over a range of lags [s].
 
     Slow offsets are removed first, so that gravity and calibration of the encoder do not count.
     """
@@ -113,7 +109,7 @@ def following(t: FloatArray, q: FloatArray, target: FloatArray) -> Following:
     spread_x = x.std(axis=0)
     spread_y = y.std(axis=0)
     moves = np.ptp(target, axis=0) > rounding(target)
-    shifts = np.arange(round(LAGS[0] / dt), round(LAGS[1] / dt) + 1)
+    shifts = np.arange(round(lags[0] / dt), round(lags[1] / dt) + 1)
     correlation = np.zeros((q.shape[1], q.shape[1]))
     lag = np.full(q.shape[1], np.nan)
     for i, j in np.argwhere((spread_x > 0)[:, None] & moves[None, :]):

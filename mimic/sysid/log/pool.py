@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
@@ -17,6 +18,15 @@ from mimic.sysid.log.timing import SendingTimes, joined, sending_times
 
 UNREAD = "unread"
 """Column of such rows: 1 where nothing is compared with the reading, which is interpolated."""
+
+RECEIVED = "t_receive."
+"""Begins the name of the column with the time at which a joint's answer came."""
+
+ODD = 5.0
+"""An answer this many standard deviations from the usual time is of no known time, or of another row."""
+
+LEAST_ODD = 0.5e-3
+"""[s]; what is less hardly matters."""
 
 FAR = 10.0
 """A reading is corrupt that is so many times as far off the line through its neighbours as theirs are."""
@@ -51,6 +61,26 @@ def missing(log: JointLog) -> BoolArray:
     if log.tau is not None and np.isfinite(log.tau).any():
         rows |= ~np.isfinite(log.tau).all(axis=1)
     return rows
+
+
+def at_odd_times(log: JointLog, most: float) -> BoolArray:
+    """Return the rows (T,) in which a joint answered much earlier or later than usual.
+
+    Early ones are the answers to the row before.
+
+    Args:
+        log: With the times at which answers came; without, no row is.
+        most: Greatest share of the rows; of more, those that are furthest off.
+    """
+    odd = np.zeros(len(log.t))
+    for joint in log.joints:
+        if (came := log.extra.get(RECEIVED + joint)) is None or not np.isfinite(came).any():
+            continue
+        after = came - log.t
+        away = np.abs(after - np.nanmedian(after))
+        usual = median_abs_deviation(after, scale="normal", nan_policy="omit")
+        odd = np.fmax(odd, away / max(ODD * float(usual), LEAST_ODD))
+    return np.asarray(odd > max(1.0, float(np.quantile(odd, 1.0 - most))))
 
 
 def filled(log: JointLog, rows: BoolArray) -> JointLog:

@@ -167,6 +167,17 @@ def test_rows_without_a_target_are_left_out(log: JointLog) -> None:
     assert len(facts.log.t) == len(log.t) - 1
 
 
+def test_answers_of_another_time_are_left_out_but_not_their_targets(log: JointLog) -> None:
+    rng = np.random.default_rng(0)
+    came = log.t + 0.003 + 1e-4 * rng.standard_normal(len(log.t))
+    came[500] += 0.004  # waited for
+    came[700] -= 0.0025  # the answer to the row before
+    facts = check_log(replace(log, extra={"t_receive.knee": came}))
+    assert np.flatnonzero(~valid_samples(facts.log)).tolist() == [500, 700]
+    assert np.array_equal(facts.log.t, log.t)
+    assert any("answered at another time than the others; left out" in w for w in facts.warnings)
+
+
 def test_a_channel_of_nan_is_as_good_as_none(log: JointLog) -> None:
     assert check_log(replace(log, tau=np.full_like(log.q, np.nan))).log.tau is None
 
@@ -340,10 +351,14 @@ def test_targets_of_another_time_do_not_belong(log: JointLog) -> None:
     targets_ = log.q_des
     assert targets_ is not None
     shuffled = np.random.default_rng(0).permutation(targets_)
-    for wrong in (targets_[::-1], shuffled, np.roll(targets_, 1000, axis=0)):
+    for wrong, reason in (
+        (targets_[::-1], "backwards"),
+        (shuffled, "do not follow"),
+        (np.roll(targets_, 1000, axis=0), "s after them"),
+    ):
         fits, why = targets_match_log(replace(log, q_des=wrong))
         assert not fits
-        assert "do not follow" in why
+        assert reason in why
     fits, why = targets_match_log(replace(log, q=log.q[::-1], q_des=targets_[::-1]))
     assert not fits
     assert "backwards in time" in why
