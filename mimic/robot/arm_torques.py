@@ -45,6 +45,7 @@ class ArmTorques:
         model = rigid_body_model(description)[0]
         joints = [model.getJointId(name) for name in JOINTS[: 2 * LEG]]
         inertias = [model.inertias[j] for j in joints]
+        dofs = [model.joints[j].idx_v for j in joints]
         self._xp = xp
 
         def kept(values: Any) -> Any:
@@ -60,9 +61,9 @@ class ArmTorques:
         self._mass = of_legs([body.mass for body in inertias])
         self._lever = of_legs([body.lever for body in inertias])
         self._inertia = of_legs([body.inertia for body in inertias])
-        self._armature = kept(model.armature[6:12])
-        self._damping = kept(model.damping[6:12])
-        self._dry = kept(model.upperDryFrictionLimit[6:12])
+        self._armature = kept(model.armature[dofs])
+        self._damping = kept(model.damping[dofs])
+        self._dry = kept(model.upperDryFrictionLimit[dofs])
 
     def of(self, q: Any, dq: Any, ddq: Any, quat_WB: Any) -> Any:
         """Return torques (..., 6) [N m].

@@ -60,10 +60,12 @@ class Reach:
         self.description = description
         self._model, self._geometry = rigid_body_model(self.description)
         self._joints = [self._model.getJointId(name) for name in JOINTS]
+        self._at_q = np.array([self._model.joints[i].idx_q for i in self._joints])
+        self._at_v = np.array([self._model.joints[i].idx_v for i in self._joints])
         self._frames = [self._model.getFrameId(name, pin.FrameType.OP_FRAME) for name in TOES[:2]]
         self._data = self._model.createData()
         self._qpos = pin.neutral(self._model)
-        self._qpos[7:] = self.description.poses["upright"]
+        self._qpos[self._at_q] = self.description.poses["upright"]
         self._pairs = self._add_pairs()
         self._space = self._geometry.createData()
         workspace = self.description.workspace
@@ -136,14 +138,15 @@ class Reach:
         for q in rng.uniform(self.q_min, self.q_max, (256, FRONT)):
             mass = pin.crba(self._model, self._data, self._full(q))
             mass = np.triu(mass) + np.triu(mass, 1).T
-            greatest = np.maximum(greatest, np.sum(np.abs(mass[6:12, 6:12]), axis=1))
+            front = mass[np.ix_(self._at_v[:FRONT], self._at_v[:FRONT])]
+            greatest = np.maximum(greatest, np.sum(np.abs(front), axis=1))
         greatest = np.tile(np.maximum(greatest[:3], greatest[3:]), 2)
         return self.description.workspace.torque_share * self.description.torque_max[:FRONT] / greatest
 
     def _full(self, q: FloatArray) -> FloatArray:
         """Return Pinocchio's configuration with the base at the origin; hind legs stay where no joints are given."""
         qpos = self._qpos.copy()
-        qpos[7 : 7 + len(q)] = q
+        qpos[self._at_q[: len(q)]] = q
         return qpos
 
     def _add_pairs(self) -> list[tuple[int, int]]:
@@ -222,7 +225,7 @@ class Reach:
         pin.updateFramePlacements(self._model, self._data)
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._space)
         pin.computeDistances(self._geometry, self._space)
-        axes = self._data.J[3:, 6:12].T
+        axes = self._data.J[3:, self._at_v[:FRONT]].T
         origins = np.array([self._data.oMi[i].translation for i in self._joints[:FRONT]])
         p = np.array([self._data.oMf[frame].translation for frame in self._frames])
         columns = cross(axes, np.repeat(p, 3, axis=0) - origins)

@@ -14,8 +14,8 @@ from mimic.robot.model import read_model
 def rigid_body_model(description: RobotDescription) -> tuple[pin.Model, pin.GeometryModel]:
     """Return Pinocchio's model of a robot and its collision shapes.
 
-    Joints are called and ordered as in JOINTS, after a free joint (seven positions, six velocities), and have the
-    MJCF's armature, damping and dry friction; a frame of type OP_FRAME at each toe is called as in TOES.
+    Joints are called as in JOINTS, after a free joint, and have the MJCF's armature, damping and dry friction; a frame
+    of type OP_FRAME at each toe is called as in TOES.
     """
     spec = read_model(description)
     spec.compile()

@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from mimic.errors import AssetError
-from mimic.records import FloatArray
+from mimic.records import JOINTS, FloatArray
 from mimic.robot.arm_torques import GRAVITY
 from mimic.robot.description import RobotDescription, TrunkNumbers
 from mimic.robot.leg_kinematics import all_legs
@@ -125,6 +125,9 @@ class _Statics:
         self._description = description
         self._model = rigid_body_model(description)[0]
         self._data = self._model.createData()
+        joints = [self._model.joints[self._model.getJointId(name)] for name in JOINTS]
+        self._at_q = np.array([joint.idx_q for joint in joints])
+        self._hind = np.array([joint.idx_v for joint in joints])[HIND:]
         self._weight = GRAVITY * sum(inertia.mass for inertia in self._model.inertias)
         self._frames = [self._model.getFrameId(name, pin.FrameType.OP_FRAME) for name in TOES[2:]]
         self._legs = all_legs(description)[2:]
@@ -162,7 +165,9 @@ class _Statics:
         return pin.centerOfMass(self._model, self._data, self._full(q)).copy()
 
     def _full(self, q: FloatArray) -> FloatArray:
-        return np.concatenate([pin.neutral(self._model)[:7], q])
+        full = pin.neutral(self._model)
+        full[self._at_q] = q
+        return full
 
     def _carried(self, q: FloatArray, turn: FloatArray) -> FloatArray:
         """Return the torques (6,) [N m] with which the hind legs carry the robot, half of it each."""
@@ -173,4 +178,4 @@ class _Statics:
         for toe in self._frames:
             jacobian = pin.computeFrameJacobian(self._model, self._data, full, toe, pin.LOCAL_WORLD_ALIGNED)
             torque = torque - jacobian[:3].T @ force
-        return torque[-HIND:]
+        return torque[self._hind]
