@@ -69,7 +69,7 @@ def moved(machine: Machine) -> Truth:
 
 def still(q: np.ndarray, seconds: float = 3.0) -> Excitation:
     t = np.arange(round(50 * seconds)) / 50
-    return Excitation(t=t, q_des=np.repeat(q[None], len(t), 0), sections=())
+    return Excitation(t=t, q_des=np.repeat(q[None], len(t), 0))
 
 
 def bare_model() -> mujoco.MjModel:

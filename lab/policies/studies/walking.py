@@ -84,7 +84,7 @@ def turning_rate(log: RunLog, begin: float) -> float:
 
 def _play(job: _Job, policy: Policy) -> dict[str, Any]:
     described = policy.description
-    beyond = replace(described.commands, velocity=np.array([max(SPEEDS), 0.0]))
+    beyond = replace(described.commands, velocity_max=np.array([max(SPEEDS), 0.0]))
     description = replace(described, commands=beyond)  # or faster commands would be clamped to the trained ones
     track = asked_by(job, description)
     track = replace(track, heading=job.turning * track.t)
