@@ -33,34 +33,34 @@ SUMMARY = "summary.parquet"
 PAGE = "summary.html"
 """Its table as a page."""
 
-ROW = (
-    "file",
-    "status",
-    "error",
-    "length_s",
-    "targets",
-    "clamped_share",
-    "moved_mean_cm",
-    "moved_max_cm",
-    "limited_share",
-    "filled_share",
-    "rows_with_person",
-    "wanted_to_reached_cm",
-    "toe_error_cm",
-    "toe_error_p95_cm",
-    "lag_s",
-    "toe_error_without_lag_cm",
-    "stand_up_s",
-    "standing_share",
-    "falls",
-    "knee_torque_rms_nm",
-    "minutes_to_limit",
-    "notes",
-    "seconds",
-    "folder",
-    "sha256",
-    "key",
-)
+ROW: Mapping[str, type] = {
+    "file": str,
+    "status": str,
+    "error": str,
+    "length_s": float,
+    "targets": int,
+    "clamped_share": float,
+    "moved_mean_cm": float,
+    "moved_max_cm": float,
+    "limited_share": float,
+    "filled_share": float,
+    "rows_with_person": float,
+    "wanted_to_reached_cm": float,
+    "toe_error_cm": float,
+    "toe_error_p95_cm": float,
+    "lag_s": float,
+    "toe_error_without_lag_cm": float,
+    "stand_up_s": float,
+    "standing_share": float,
+    "falls": int,
+    "knee_torque_rms_nm": float,
+    "minutes_to_limit": float,
+    "notes": str,
+    "seconds": float,
+    "folder": str,
+    "sha256": str,
+    "key": str,
+}
 """Columns of the table."""
 
 
@@ -340,8 +340,10 @@ def _write_summary(rows: Sequence[dict[str, Any]], out: Path, job: Job, *, unpla
 
     from mimic.view.report.batch import html_batch
 
+    kinds = {str: pa.string(), float: pa.float64(), int: pa.int64()}
+    schema = pa.schema([(name, kinds[kind]) for name, kind in ROW.items()])
     with store.written_whole(out / SUMMARY) as part:
-        pq.write_table(pa.Table.from_pylist(store.plain(rows)), part)
+        pq.write_table(pa.Table.from_pylist(store.plain(rows), schema=schema), part)
     with store.written_whole(out / PAGE) as part:
         part.write_text(
             html_batch(list(rows), command=job.command, version=__version__, unplayed=unplayed), encoding="utf-8"

@@ -315,6 +315,7 @@ def save_calibration(result: Calibration, out: Path, source: Path | None, machin
             if result.next_motion is not None and result.next_motion.tells:
                 write_log(result.next_motion.log, part / NEXT)
         for name in (REPORT, RESULT, EFFECTS, MODEL, ACTUATORS, NEXT):
-            (out / name).unlink(missing_ok=True)  # of an earlier log
             if (part / name).is_file():
                 (part / name).replace(out / name)
+            else:
+                (out / name).unlink(missing_ok=True)  # of an earlier log

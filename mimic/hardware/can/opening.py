@@ -41,7 +41,7 @@ python-can refuses. On a loaded computer three of three tries failed."""
 START_UP = 2.0
 """What a serial adapter gets to start up in [s], as in python-can."""
 
-FORMS = "can0; slcan:/dev/ttyACM0; socketcand://HOST:PORT/can0; several with commas; of stock robots cyberdog2 or go2"
+FORMS = "can0; slcan:/dev/ttyACM0; socketcand://HOST:PORT/can0; several with commas; or a stock cyberdog2 or go2"
 
 
 def open_link(bus_url: str, *, bitrate: int = 1_000_000, quick: bool = False) -> CanLink:
