@@ -22,7 +22,7 @@ class ServeOptions(Limited):
     wiring: Path | None = None
     """Wiring file; default: the shipped one."""
     fault: tuple[str, ...] = ()
-    """Faults to inject: KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5, in seconds of the
+    """Faults to inject: `KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]]`, such as `motor_dead:FL_knee@12.5`, in seconds of the
     emulation, or with + since the first motor was switched on. An unknown kind prints the list."""
     seconds: float | None = within(None, 0.0, math.inf, "s")
     """End after this time [s]; default: at Ctrl-C."""
