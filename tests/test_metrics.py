@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mimic.io.store import plain
 from mimic.metrics import (
+    LONGEST_LAG,
     PARTS,
     run_metrics,
     stand_up_time,
@@ -68,6 +69,15 @@ def test_a_late_toe_is_explained_by_its_lag(lag_ticks, description):
     assert lag == pytest.approx(0.02 * lag_ticks)
     assert left == pytest.approx(0.0, abs=1e-9)
     assert run_metrics(log, description)["lag_s"] == lag
+
+
+def test_a_lag_of_more_than_the_longest_is_not_looked_for():
+    desired = np.zeros((400, 2, 3))
+    desired[..., 0] = (0.001 * np.arange(400))[:, None]
+    reached = np.concatenate([np.repeat(desired[:1], 35, 0), desired[:-35]])
+    lag, left = toe_lag(make_log(400, p_BE=reached, p_BE_des=desired))
+    assert lag == pytest.approx(LONGEST_LAG)
+    assert left > 0.01
 
 
 def make_targets(person: np.ndarray, **columns: np.ndarray) -> TargetTrack:

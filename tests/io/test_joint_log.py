@@ -188,3 +188,13 @@ def test_a_joint_log_is_known_by_its_file(log: JointLog, tmp_path: Path) -> None
     assert is_joint_log(write_log(log, tmp_path / "log.parquet"))
     assert not is_joint_log(write_log(log, tmp_path / "log.csv"))
     assert not is_joint_log(tmp_path / "none.parquet")
+
+
+def test_lists_of_one_number_are_columns_of_one_joint(tmp_path: Path) -> None:
+    rows = np.linspace(0.0, 1.0, 20)
+    lists = pa.array([[value] for value in rows], pa.list_(pa.float64()))
+    path = tmp_path / "one.parquet"
+    pq.write_table(pa.table({"t": 0.01 * np.arange(20), "q.knee": lists, "q_des.knee": lists}), path)
+    log = read_log(path)
+    assert log.joints == ("knee",)
+    assert log.q[:, 0] == pytest.approx(rows)

@@ -35,8 +35,13 @@ def scales(e: FloatArray, data: Data) -> FloatArray:
                 continue
             square = x * x
             v = max(2.0 * float(np.median(square)), 1e-30)
-            for _ in range(12):
-                v = max(float(np.mean((FREEDOM + 1.0) * square / (FREEDOM + square / v))), 1e-30)
+            for _ in range(50):  # Newton's steps of the logarithm, in which the likelihood is concave
+                r = square / v
+                pull = (FREEDOM + 1.0) * r / (FREEDOM + r)
+                by = np.clip((pull.mean() - 1.0) / (FREEDOM * pull / (FREEDOM + r)).mean(), -2.0, 2.0)
+                v *= float(np.exp(by))
+                if abs(by) < 1e-6:
+                    break
             out[log, j] = np.sqrt(v)
     return np.maximum(out, 0.1 * data.noise)
 

@@ -353,7 +353,7 @@ class Model:
         """
         now = self.differentiated()
         total = now.normal()[0] + now.plausibility(now.values())[0]
-        size = np.sqrt(np.diag(total)) + 1e-150
+        size = np.sqrt(np.diag(total)) + 1e-100
         stiff, turned = np.linalg.eigh(total / np.outer(size, size))
         root = turned / np.sqrt(np.maximum(stiff, 1e-12)) / size[:, None]
         felt = now._felt()

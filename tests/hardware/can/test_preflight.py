@@ -121,16 +121,18 @@ def test_a_robot_that_does_not_lie_is_stopped_with_the_joint_that_is_furthest_of
     assert "RL_hip" in found["pose"].text
 
 
-def test_another_position_range_than_the_wirings_is_found_far_from_zero(description):
-    far = dataclasses.replace(WIRING, offset=WIRING.offset - 3.0 * WIRING.sign * np.ones(12))
-    robot = EmulatedRobot(description, far, EmulateSettings(zeroed=True, position_range=12.5))
+@pytest.mark.parametrize(("true", "verdict"), [(4 * np.pi, "ok"), (12.5, "stop")])
+def test_another_position_range_than_the_wirings_is_found_far_from_zero(true, verdict, description):
+    far = dataclasses.replace(WIRING, offset=WIRING.offset - 9.0 * WIRING.sign * np.ones(12))
+    robot = EmulatedRobot(description, far, EmulateSettings(zeroed=True, position_range=true))
     motor_bus = MotorBus(EmulatedLink(robot), far)
     motor_bus.link.sleep(0.2)
     found = {f.name: f for f in preflight(motor_bus, description, CheckOptions(rate_hz=50.0), trust_zeros=True)}
-    # 0.53 % of 3 rad are 16 mrad, less than the two readings are trusted with; at the lying pose nothing can be told
-    assert found["position range"].verdict in ("note", "stop")
-    near = look(description)["position range"]
-    assert near.verdict == "note"
+    assert found["position range"].verdict == verdict, found["position range"].text
+
+
+def test_near_zero_no_position_range_can_be_told(description):
+    assert look(description)["position range"].verdict == "note"
 
 
 def test_more_than_the_bus_carries_is_refused(description):

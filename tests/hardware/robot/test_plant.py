@@ -552,6 +552,16 @@ def test_a_bus_that_comes_back_is_opened_again_while_the_other_one_works(descrip
     assert set(asked) == {1}
 
 
+def test_damping_says_whether_a_sender_is_there(made, description):
+    _, plant = made()
+    assert not plant.damp()  # never started
+    plant.start()
+    assert plant.damp()
+    assert plant.damp()
+    plant.close()
+    assert not plant.damp()
+
+
 def test_what_damps_is_not_driven_by_any_later_command(standing_up, description):
     robot, plant = standing_up
     begin = robot.now
