@@ -313,7 +313,7 @@ def search(null: Scored, hunt: Hunt) -> Outcome:
     if best is not seen:
         others = dropped = []
     best, *others = ranked([scored(one.model.settled(4)) for one in (best, *others)])
-    others = [_from_there(one, best) for one in others]
+    best, *others = ranked([best, *(_from_there(one, best) for one in others)])
     ties = {}
     for one in (*others, *dropped):
         by = best.apart(one)
