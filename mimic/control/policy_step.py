@@ -80,10 +80,12 @@ class Pilot:
             self.run.decide(FAILURE, SafetyMode.DAMP, "a target is not a number")
             return None
         v_des, p_BE_des, clamped = clamp_desired(desired.v, desired.p_BE, self._description)
-        clamped += self._trunk.advance(desired.height, desired.pitch)
         seen = self.run.sensed
+        lean = 0.0
         if arms is not None and self._pull is not None:
             seen = replace(seen, quat_WB=self._pull.shown(seen))
+            lean = self._pull.lean
+        clamped += self._trunk.advance(desired.height, desired.pitch, lean)
         seen = self._trunk.seen(seen)
         observation = builder.observe(
             q=seen.q,

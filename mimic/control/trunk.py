@@ -44,11 +44,16 @@ class Trunk:
         """Height [m] and pitch [rad] of the newest command."""
         return self._asked[0]
 
-    def advance(self, height: float, pitch: float) -> int:
+    def advance(self, height: float, pitch: float, lean: float = 0.0) -> int:
         """Let one control step pass, on the way to a height [m] and a pitch [rad], within range and speed of the robot.
 
+        Args:
+            height: What is asked.
+            pitch: What is asked.
+            lean: Added to the pitch where there is room for it [rad].
+
         Returns:
-            How many of the two were beyond the range.
+            How many of the two that are asked were beyond the range.
         """
         numbers = self._numbers
         wanted = np.array([height, pitch])
@@ -59,7 +64,8 @@ class Trunk:
         inside = np.clip(wanted, low, high)
         most = self._dt * np.array([numbers.height_speed, numbers.pitch_speed])
         before = np.array(self._asked[0])
-        newest = before + np.clip(inside - before, -most, most)
+        goal = np.clip(inside + [0.0, lean], low, high)
+        newest = before + np.clip(goal - before, -most, most)
         self._asked.appendleft((float(newest[0]), float(newest[1])))
         while len(self._asked) > self._kept:
             self._asked.pop()

@@ -64,10 +64,18 @@ def test_the_trunk_keeps_to_its_speed_and_its_range(description):
     assert trunk.now == (numbers.height[0], numbers.pitch[1])
 
 
+def test_a_lean_besides_what_is_asked_takes_what_room_there_is(description):
+    trunk = Trunk(description)
+    most = description.trunk_numbers.pitch[1]
+    for lean, reached in ((0.1, 0.2), (most, most), (0.0, 0.1)):
+        assert not any(trunk.advance(0.0, 0.1, lean) for _ in range(60))
+        assert trunk.now == (0.0, pytest.approx(reached))
+
+
 def test_a_robot_without_a_trunk_of_its_own_stays_and_counts_what_it_was_asked(description):
     trunk = Trunk(replace(description, trunk_numbers=None))
     assert trunk.advance(-0.05, 0.1) == 2
-    assert trunk.advance(0.0, 0.0) == 0
+    assert trunk.advance(0.0, 0.0, 0.1) == 0
     assert not trunk.moves
 
 

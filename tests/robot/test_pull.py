@@ -10,7 +10,17 @@ import pytest
 from mimic.geometry import heading_from_quat, multiply_quats, rotation_from_quat, turned_by
 from mimic.records import RobotState
 from mimic.robot.arm_torques import ArmTorques
-from mimic.robot.pull import BEGINS, FULL, LEAST, MOST_LEAN, MOST_TURN, PullBalance, PullEstimator, StandsAgainstPull
+from mimic.robot.pull import (
+    BEGINS,
+    FULL,
+    LEAN_FORWARD,
+    LEAST,
+    MOST_LEAN,
+    MOST_TURN,
+    PullBalance,
+    PullEstimator,
+    StandsAgainstPull,
+)
 from mimic.robot.rigid_body import rigid_body_model
 
 TOES = np.array([[0.15, 0.12, 0.5], [0.15, -0.12, 0.5]])
@@ -100,6 +110,17 @@ def test_it_turns_against_the_moment_of_a_pull_from_behind(description):
     right = turn(description, pulled(0.08 * w, np.pi, side=1))
     assert left[2] == pytest.approx(-right[2])
     assert left[2] > 0.05  # pulled back at its left toe it would turn to the left: it is shown as if it did already
+
+
+def test_it_leans_forward_against_a_pull_from_behind_only(description):
+    w = weight(description)
+    balance = PullBalance(description)
+    for heading in (0.0, 2.0):
+        leans = {way: balance.lean(pulled(0.08 * w, heading + way), heading) for way in (0.0, np.pi / 2, np.pi)}
+        assert leans[np.pi] == pytest.approx(0.08 * LEAN_FORWARD)
+        assert leans[np.pi / 2] == pytest.approx(0.0, abs=1e-9)
+        assert leans[0.0] == 0.0
+    assert balance.lean(pulled(0.99 * LEAST * w, np.pi), 0.0) == 0.0
 
 
 def test_small_pulls_do_not_count_and_large_ones_are_limited(description):
