@@ -105,7 +105,7 @@ class PullBalance:
         return LEAN_FORWARD * float(counts * max(-self._ahead(pull, heading, np), 0.0))
 
     def _felt(self, force: Any, xp: Any) -> tuple[Any, Any, Any]:
-        """Return the pull of both toes (..., 3), its size, both as shares of the weight, and how far it counts, 0 to 1."""
+        """Return the pull (..., 3) and its size, both as shares of the weight, and how far it counts, 0 to 1."""
         pull = force.sum(-2) / self.weight
         size = xp.hypot(pull[..., 0], pull[..., 1])
         return pull, size, xp.clip((size - LEAST) / (FULL - LEAST), 0.0, 1.0)
