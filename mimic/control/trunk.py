@@ -48,9 +48,9 @@ class Trunk:
         """Let one control step pass, on the way to a height [m] and a pitch [rad], within range and speed of the robot.
 
         Args:
-            height: What is asked.
-            pitch: What is asked.
-            lean: Added to the pitch where there is room for it [rad].
+            height: Of the hind hips, as asked [m].
+            pitch: Of the trunk, as asked [rad].
+            lean: Added to the pitch as far as its range allows [rad].
 
         Returns:
             How many of the two that are asked were beyond the range.
